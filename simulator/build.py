@@ -10,6 +10,7 @@ import functools
 import math
 from dataclasses import fields, replace
 from datetime import datetime
+from pathlib import Path
 
 from simulator.detector import Detector, build_fixed_pattern
 from simulator.detector.parameters import DetectorParameters, DisplacementDamage
@@ -19,10 +20,10 @@ from simulator.environment.parameters import Environment
 from simulator.environment.transients import Transients
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
-from simulator.mission.orbit import Orbit
-from simulator.mission.orbit import build_orbit as orbit_of_parameters
 from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
+from simulator.mission.trajectories import build_trajectory
+from simulator.mission.trajectory import Trajectory
 from simulator.optics.curves import Curve, load_curve
 from simulator.optics.displacement import Displacement, draw_residual
 from simulator.optics.jitter import load_spectrum
@@ -50,6 +51,7 @@ __all__ = [
     "build_scenes",
     "build_transients",
     "detector_parameters",
+    "orbit_radiation_of",
     "sequence_motion",
     "shutter_of",
 ]
@@ -85,9 +87,8 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
     response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
         detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
     )
-    aged = build_damage(scenario)
-    if aged is not None and aged.transmission < 1.0:
-        response = Curve(response.wavelength_nm, aged.transmission * response.value)
+    if scenario.environment.has_damage:
+        response = Curve(response.wavelength_nm, build_damage(scenario).transmission * response.value)
     area_cm2 = math.pi / 4 * (optics.aperture_mm / 10.0) ** 2 * (1.0 - optics.obscuration**2)
     photometer = Photometer(response, area_cm2, scenario.sky.spectrum)
     lens = Lens(
@@ -169,9 +170,9 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
     return SceneBuilder(parameters, build_orbit(scenario))
 
 
-def build_orbit(scenario: Scenario) -> Orbit:
-    """Orbit of a scenario."""
-    return orbit_of_parameters(scenario.orbit, scenario.epoch)
+def build_orbit(scenario: Scenario) -> Trajectory:
+    """Trajectory of a scenario's spacecraft; `InputError` for a file that cannot be used."""
+    return build_trajectory(scenario.orbit, scenario.epoch, scenario.base_dir)
 
 
 def build_mounting(scenario: Scenario) -> Attitude:
@@ -196,9 +197,8 @@ def aged_detector(scenario: Scenario) -> DetectorParameters:
     """The detector of a scenario with the damage of its environment added, and particles of a positive rate if the
     environment provides those of each frame."""
     parameters = detector_parameters(scenario.detector)
-    aged = build_damage(scenario)
-    if aged is not None:
-        parameters = _with_damage(parameters, aged)
+    if scenario.environment.has_damage:
+        parameters = _with_damage(parameters, build_damage(scenario))
     if scenario.environment.has_particles:
         parameters = replace(parameters, cosmic_rays=replace(parameters.cosmic_rays, rate_cm2_s=1.0))
     return parameters
@@ -218,18 +218,16 @@ def _with_damage(new: DetectorParameters, aged: Damage) -> DetectorParameters:
     )
 
 
-def build_damage(scenario: Scenario) -> Damage | None:
-    """Damage of the camera at the age of the scenario's environment; None if it is as new.
+def build_damage(scenario: Scenario, environment: Environment | None = None) -> Damage:
+    """Damage of the camera by its environment, or by another one.
 
     Raises
     ------
     InputError
         If the package of the trapped particles is not installed.
     """
-    environment, section = scenario.environment, scenario.detector
-    if not environment.has_damage:
-        return None
-    radiation = _orbit_radiation(scenario.orbit, scenario.epoch, environment.sources)
+    environment, section = environment or scenario.environment, scenario.detector
+    radiation = orbit_radiation_of(scenario, environment)
     pixel = Pixel(section.pitch_um[0] * section.pitch_um[1], section.dark_reference_c, section.kind != "cmos")
     inner, outer = (
         dose(radiation, environment, shield_mm, environment.age_years)
@@ -238,9 +236,14 @@ def build_damage(scenario: Scenario) -> Damage | None:
     return damage(inner, outer, pixel, environment)
 
 
-@functools.lru_cache(maxsize=4)  # a second and a half; detector and lens ask for the same
-def _orbit_radiation(orbit: OrbitParameters, epoch: datetime, sources: Environment) -> OrbitRadiation:
-    return orbit_radiation(orbit_of_parameters(orbit, epoch), sources)
+def orbit_radiation_of(scenario: Scenario, environment: Environment) -> OrbitRadiation:
+    """Mean radiation along the orbit of a scenario, outside the spacecraft, in an environment."""
+    return _orbit_radiation(scenario.orbit, scenario.epoch, scenario.base_dir, environment.sources)
+
+
+@functools.lru_cache(maxsize=8)  # a second and a half; detector and lens ask for the same
+def _orbit_radiation(orbit: OrbitParameters, epoch: datetime, folder: Path, sources: Environment) -> OrbitRadiation:
+    return orbit_radiation(build_trajectory(orbit, epoch, folder), sources)
 
 
 def build_transients(scenario: Scenario) -> Transients | None:

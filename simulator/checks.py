@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulator.mission.parameters import FILES, OrbitParameters
 from simulator.scenario import Scenario
 from simulator.scenario.fields import NameChecks
 from startracker.errors import InputError
@@ -81,7 +82,28 @@ def _target(name: Any, keys: Mapping[str, Any]) -> str | None:
     return None
 
 
+def _orbit_file(key: str) -> NameCheck:
+    """Check of a file of the ``orbit`` section, together with the keys that say how it is used."""
+
+    def check(name: Any, keys: Mapping[str, Any]) -> str | None:
+        from simulator.mission.trajectories import build_trajectory
+
+        others = {k: keys.get(f"orbit.{k}") for k in FILES}
+        if not isinstance(name, str) or "epoch" not in keys or any(others[k] for k in FILES if k != key):
+            return None
+        plain = ("object", "centre", "frame", "max_age_days")
+        given: dict[str, Any] = {k: keys[f"orbit.{k}"] for k in plain if f"orbit.{k}" in keys}
+        try:
+            build_trajectory(OrbitParameters(**(given | {key: name})), keys["epoch"])
+        except InputError as error:
+            return str(error)
+        return None
+
+    return check
+
+
 NAME_CHECKS: NameChecks = {
+    **{f"orbit.{key}": _orbit_file(key) for key in FILES},
     "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
     "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),

@@ -9,6 +9,9 @@ EARTH_GM_KM3_S2 = 398_600.4418
 EARTH_J2 = 1.08262668e-3
 """Second zonal harmonic, unnormalised; EGM96 / Vallado 2013, table D-5."""
 
+EARTH_ZONALS = (EARTH_J2, -2.532_656_49e-6, -1.619_621_59e-6, -2.272_960_83e-7, 5.406_812_39e-7)
+"""Zonal harmonics J2 to J6, unnormalised; EGM96 / Vallado 2013, table D-5."""
+
 PLANCK_J_S = 6.626_070_15e-34
 """Exact, SI 2019."""
 

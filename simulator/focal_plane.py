@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from simulator.exposure import Exposure, Motion, Paths
 from simulator.frame import TrueSources
-from simulator.light import Light, body_light, body_rates_e_s, near_image, path_middles, star_light, star_rates_e_s
+from simulator.light import (
+    Light,
+    body_light,
+    body_rates_e_s,
+    hidden_stars,
+    near_image,
+    path_middles,
+    star_light,
+    star_rates_e_s,
+)
 from simulator.optics.bodies import LAW_OF_BODY, LAWS, LitDisk, draw_body
 from simulator.optics.disk import add_disk
 from simulator.optics.displacement import Displacement
@@ -26,8 +35,9 @@ from simulator.optics.splat import add_stars
 from simulator.optics.stray_light import Baffle, stray_light_e_s_pixel
 from simulator.optics.tether import Tether, TetherPoints, tether_points
 from simulator.scene import Scene
+from simulator.sky.apparent import largest_shift_rad
 from simulator.sky.background import diffuse_sky_s10
-from simulator.sky.earth import occulted, stray_sources, unhidden
+from simulator.sky.earth import stray_sources, unhidden
 from simulator.sky.faint_stars import FaintSky
 from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import sun_v
@@ -217,12 +227,12 @@ class FocalPlane:
         """Stars beyond the catalogue, of the Sun's colour."""
         camera, velocity = self.true_camera, scene.observer.velocity_km_s
         reach_rad = self.half_field_rad(exposure.duration_s) + scene.streak_rad
-        direction, v_mag = sky.near(scene.pointing.camera.boresight, reach_rad)
+        shift_rad = largest_shift_rad(scene.observer)
+        direction, v_mag = sky.near(scene.pointing.camera.boresight, reach_rad, shift_rad)
         if self.sky.aberration and velocity is not None:
             direction = aberrated(direction, velocity)
         rate_e_s = self.photometer.electrons_per_s(v_mag, SOLAR_B_V, 0.0)
-        if self.sky.earth:
-            rate_e_s[occulted(direction, scene.r_km)] = 0.0
+        rate_e_s[hidden_stars(scene, direction, self.sky)] = 0.0
         seen = self._reaching(scene, direction, rate_e_s, exposure, 0.0)
         motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
         paths = exposure.paths(camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, _EDGE_MARGIN_PX)

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from simulator.frame import TrueSources
 from simulator.optics.bodies import NO_LIMB, sun_angle_rad
-from simulator.scene import Scene
-from simulator.sky.earth import limbs, occulted, unhidden
+from simulator.scene import NEAR_BODY_RAD, Scene
+from simulator.sky.earth import has_disk, limbs, occulted, unhidden
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import Bodies
 from startracker.camera import Camera
 from startracker.kernels import kernel
 
-__all__ = ["Light", "body_light", "near_image", "path_middles", "star_light"]
+__all__ = ["Light", "body_light", "hidden_stars", "near_image", "path_middles", "star_light"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -62,12 +62,19 @@ class Light:
 
 
 def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons per second of the scene's stars (N,); 0 behind the Earth."""
+    """Photo-electrons per second of the scene's stars (N,); 0 where they are hidden."""
     v_mag = scene.catalog.v_mag[scene.rows]
     rate = photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
-    if sky.earth:
-        rate[occulted(scene.star_directions, scene.r_km)] = 0.0
+    rate[hidden_stars(scene, scene.star_directions, sky)] = 0.0
     return rate
+
+
+def hidden_stars(scene: Scene, directions: FloatArray, sky: Sky) -> NDArray[np.bool_]:
+    """Whether stars in directions (N, 3) are behind the Earth, or behind a body that the spacecraft orbits."""
+    hidden = occulted(directions, scene.r_km) if has_disk(sky, scene.r_km) else np.zeros(len(directions), dtype=bool)
+    for body in np.flatnonzero(scene.bodies.angular_radius_rad > NEAR_BODY_RAD):
+        hidden |= directions @ scene.bodies.direction[body] > math.cos(scene.bodies.angular_radius_rad[body])
+    return hidden
 
 
 def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: Photometer, coloured: bool) -> Light:
@@ -107,7 +114,7 @@ def body_light(
         return np.array([sun_angle_rad(camera, attitude, body, towards) for body in bodies.direction])
 
     limb = np.tile(NO_LIMB, (len(bodies), 1))
-    if sky.earth:
+    if has_disk(sky, scene.r_km):
         limb[:, 0], limb[:, 1] = limbs(bodies.direction, bodies.angular_radius_rad, scene.r_km)
         limb[:, 2] = angles(-scene.r_km)
     return Light(

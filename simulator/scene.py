@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.clock import Clock
-from simulator.mission.orbit import Orbit
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.pointing import (
     Pointing,
@@ -26,9 +25,10 @@ from simulator.mission.pointing import (
     turned_to,
 )
 from simulator.mission.sampling import trial_time_s
+from simulator.mission.trajectory import Trajectory
 from simulator.optics.jitter import JitterPath, Spectrum, draw_jitter
 from simulator.randomness import Streams
-from simulator.sky.apparent import SkyIndex, by_declination
+from simulator.sky.apparent import SkyIndex, by_declination, largest_shift_rad
 from simulator.sky.colours import spectral_coordinates
 from simulator.sky.instants import Instant, Instants
 from simulator.sky.parameters import Sky
@@ -38,10 +38,14 @@ from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.display import fields_repr
+from startracker.errors import InputError
 from startracker.observer import Observer
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+NEAR_BODY_RAD = math.radians(5.0)
+"""Angular radius from which a body hides stars, and cannot be rendered: the disk of a spacecraft's orbit around it."""
 
 BLOCK_TRIALS = 128
 """Trials whose ephemerides are computed together: this shares the overhead of Skyfield's calls, and the arrays fit into
@@ -55,7 +59,7 @@ class Scene:
     t_s: float
     """Seconds after the scenario's epoch."""
     r_km: FloatArray
-    """(3,): Position of the spacecraft, GCRS."""
+    """(3,): Position of the spacecraft from the Earth's centre, GCRS."""
     observer: Observer
     """Epoch, barycentric position and velocity."""
     sun_direction: FloatArray
@@ -106,7 +110,7 @@ class SceneParameters:
     seed: int
     """Seed of the run."""
     sampling: str
-    """Sampling of trials: ``mission_year``, ``orbit`` or ``sky`` (`simulator.mission.sampling`)."""
+    """Sampling of trials: ``mission_year``, ``orbit``, ``span`` or ``sky`` (`simulator.mission.sampling`)."""
     pointing: PointingParameters
     spectrum: Spectrum
     sky: Sky
@@ -120,8 +124,8 @@ class SceneBuilder:
     ----------
     parameters : SceneParameters
         Pointing and sky.
-    orbit : Orbit
-        Orbit of the spacecraft.
+    orbit : Trajectory
+        Trajectory of the spacecraft.
 
     Raises
     ------
@@ -129,7 +133,7 @@ class SceneBuilder:
         For a target that is not in the sky.
     """
 
-    def __init__(self, parameters: SceneParameters, orbit: Orbit) -> None:
+    def __init__(self, parameters: SceneParameters, orbit: Trajectory) -> None:
         self.parameters = parameters
         self.orbit = orbit
         self.clock: Clock = orbit.clock
@@ -153,7 +157,8 @@ class SceneBuilder:
         block, row = divmod(index, BLOCK_TRIALS)
         if block not in self._blocks:
             indices = np.arange(block * BLOCK_TRIALS, (block + 1) * BLOCK_TRIALS)
-            t_s = trial_time_s(self.parameters.sampling, self.parameters.seed, indices, self._round_s)
+            given, span_s = self.parameters, self.orbit.span_s
+            t_s = trial_time_s(given.sampling, given.seed, indices, self._round_s, span_s)
             self._blocks = {block: Instants.of(self.orbit, t_s, self.parameters.sky)}
         return self._blocks[block].at(row)
 
@@ -199,7 +204,9 @@ class SceneBuilder:
         pointing, jitter = self._shaken(pointing, streams, given.jitter, exposure_s)
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)
-        rows = self.sky.near(pointing.camera.boresight, reach_rad, observer.epoch_jyear)
+        boresight = pointing.camera.boresight
+        self._refuse_near_surface(now, boresight, reach_rad)
+        rows = self.sky.near(boresight, reach_rad, observer.epoch_jyear, largest_shift_rad(observer))
         assert observer.position_au is not None
         to_sun = sun_au - observer.position_au
         return Scene(
@@ -228,10 +235,22 @@ class SceneBuilder:
         elif self.parameters.sampling == "sky" and given.at_s is None:
             pointing = point_at_random(law, rng, math.tau / self.orbit.period_s)
         else:
-            pointing = point(law, now.r_km, now.v_km_s, rng)
+            pointing = point(law, now.r_centre_km, now.v_centre_km_s, rng)
         if given.attitude is not None:
             pointing = turned_to(pointing, given.attitude, given.rate_camera_rad_s)
         return pointing
+
+    def _refuse_near_surface(self, now: Instant, boresight: FloatArray, reach_rad: float) -> None:
+        """`InputError` if a surface that fills much of the sky, other than the Earth's, may be in the field."""
+        bodies = now.bodies
+        for k in np.flatnonzero(bodies.angular_radius_rad > NEAR_BODY_RAD):
+            away = math.acos(min(max(float(boresight @ bodies.direction[k]), -1.0), 1.0))
+            if away < bodies.angular_radius_rad[k] + reach_rad:
+                raise InputError(
+                    f"{self.clock.isot(now.t_s)}: {bodies.name[k]}, {math.degrees(bodies.angular_radius_rad[k]):.0f}° "
+                    "in radius, is in the field; near surfaces other than the Earth's are not rendered: point the "
+                    "camera away from it (pointing.mounting: zenith)"
+                )
 
     def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
         """One realisation of the jitter, None if there is none."""

@@ -18,7 +18,7 @@ from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, find_stars
 from startracker.given_centroids import clean_centroids
-from startracker.given_image import given_image
+from startracker.given_image import GivenImage, given_image
 from startracker.identification.free_scale import FOV_BANDS_DEG
 from startracker.interop import plain
 from startracker.observer import Observer
@@ -98,29 +98,13 @@ def solve_unknown_fov(
     clock = Clock()
     given = given_image(source, observer, None, saturation_dn, gain_e_per_dn)
     if width is None and height is None:
-        settings = detection or DetectionSettings()
-        found = find_stars(
-            given.image,
-            lookup("detectors", detecting.DETECTORS, detector),
-            lookup("centroiders", centroiding.METHODS, centroider),
-            settings,
-            centroid or CentroidSettings(),
-            clock,
-            saturation_dn=given.saturation_dn,
-            gain_e_per_dn=given.gain_e_per_dn,
-        )
-        if found.status is not None:
-            explained = (*found.steps, *hints(found.status, 0, known_camera=False))
-            return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
-        rows, columns = np.shape(given.image)
-        points = _Points(
-            columns, rows, found.xy, found.flux, found.variance_px2, found.steps, found.saturated, settings
-        )
+        points = _points_of_image(given, detector, centroider, detection, centroid, clock)
     else:
         points = _points_of_list(given.image, flux, variance_px2, width, height)
+    if isinstance(points, Solution):
+        return points
     if camera is not None and (camera.width, camera.height) != points[:2]:
-        size = f"the image {points.width}×{points.height}"
-        raise InputError(f"the camera has {camera.width}×{camera.height} pixels, {size}")
+        raise InputError(f"the camera has {camera.width}×{camera.height} pixels, the image {points[0]}×{points[1]}")
     search = FreeSearch(
         points.xy,
         points.flux,
@@ -164,6 +148,33 @@ class _Points(NamedTuple):
     """Number of saturated stars."""
     detection: DetectionSettings | None = None
     """Settings with which they were detected; None for a list of centroids."""
+
+
+def _points_of_image(
+    given: GivenImage,
+    detector: str,
+    centroider: str,
+    detection: DetectionSettings | None,
+    centroid: CentroidSettings | None,
+    clock: Clock,
+) -> _Points | Solution:
+    """Centroids of an image; a solution that says why if it cannot be used."""
+    settings = detection or DetectionSettings()
+    found = find_stars(
+        given.image,
+        lookup("detectors", detecting.DETECTORS, detector),
+        lookup("centroiders", centroiding.METHODS, centroider),
+        settings,
+        centroid or CentroidSettings(),
+        clock,
+        saturation_dn=given.saturation_dn,
+        gain_e_per_dn=given.gain_e_per_dn,
+    )
+    if found.status is not None:
+        explained = (*found.steps, *hints(found.status, 0, known_camera=False))
+        return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
+    rows, columns = np.shape(given.image)
+    return _Points(columns, rows, found.xy, found.flux, found.variance_px2, found.steps, found.saturated, settings)
 
 
 def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
@@ -18,6 +18,8 @@ _SILENT_S = 2.0
 """Compile time after which a program other than our commands gets a message."""
 _SILENT_IN_FILES_S = 10.0
 """Compile time after which a log file gets a message."""
+_LOOK_S = 2.0
+"""How often kernels compiled by other processes are counted."""
 _CLEAR_LINE = "\r\x1b[K"
 
 
@@ -35,7 +37,7 @@ class Progress:
         self._task, self._at_once = "solve", False
         self._depth = self._done = 0
         self._done_weight = 0.0
-        self._began = self._processor_began = 0.0
+        self._began = self._processor_began = self._looked_at = 0.0
         self._left: dict[str, float] | None = None
         self._told_file = False
 
@@ -43,13 +45,20 @@ class Progress:
         """Announce at once that a command compiles; `task` is one of the list of `expected_kernels`."""
         self._task, self._at_once = task, True
 
-    def begin(self, is_on_disk: Callable[[str], bool]) -> None:
-        """Start of a kernel; kernels that it calls start within it. `is_on_disk`: whether an earlier process compiled
-        it."""
+    def begin(self, on_disk: Callable[[Iterable[str]], list[str]]) -> None:
+        """Start of a kernel; kernels that it calls start within it. `on_disk` gives those of some kernels that are
+        compiled."""
         if not self._depth:
             self._began, self._processor_began = time.perf_counter(), time.process_time()
         if self._left is None:
-            self._left = {name: s for name, s in expected_kernels(self._task).items() if not is_on_disk(name)}
+            self._left = dict(expected_kernels(self._task))
+            for name in on_disk(self._left):
+                del self._left[name]
+            self._looked_at = time.perf_counter()
+        elif not self._depth and self._began - self._looked_at > _LOOK_S:
+            self._looked_at = self._began
+            for name in on_disk(self._left):
+                self._count(name)
         self._depth += 1
         self._tell()
 
@@ -57,14 +66,19 @@ class Progress:
         """End of a kernel; without `name` it is a function of NumPy used by a kernel, which is not counted."""
         self._depth -= 1
         if name is not None and self._left is not None:
-            self._done += 1
-            self._done_weight += self._left.pop(name, 0.0)
+            self._count(name)
         if not self._depth:
             self.seconds += time.perf_counter() - self._began
             self.processor_s += time.process_time() - self._processor_began
             if self._shows():
                 sys.stderr.write(_CLEAR_LINE)
                 sys.stderr.flush()
+
+    def _count(self, name: str) -> None:
+        """A kernel that this process has compiled, or another one beside it."""
+        assert self._left is not None
+        self._done += 1
+        self._done_weight += self._left.pop(name, 0.0)
 
     @property
     def line(self) -> str:

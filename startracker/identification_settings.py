@@ -61,8 +61,10 @@ class IdentificationSettings:
     ----------
     min_stars : int
         Minimum number of matched stars.
-    close_pair_deg, close_pair_magnitude : float
-        Guide stars with a neighbour closer than this, and fainter by less than this, are excluded.
+    close_pair_deg : float
+        Guide stars with a neighbour closer than this are not used in patterns; they are still matched.
+    close_pair_magnitude : float
+        Only neighbours that are brighter, or fainter by less than this, count.
     false_alarm_rate : float
         Maximum probability per frame that an accepted identification is due to chance.
     max_centroids : int

@@ -150,12 +150,12 @@ def _refuse_unreadable(file: Path, data: bytes) -> None:
     """Raise `InputError` for photographs of formats that need a converter, saying how to convert them."""
     if data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
         raise InputError(
-            f"{file}: HEIC images are not read; convert it first, for example: "
+            f"{file}: HEIC images are not supported; convert it first, for example: "
             f"heif-convert {shlex.quote(file.name)} {shlex.quote(file.stem)}.png"
         )
     if _RAW_SUFFIXES.fullmatch(file.suffix) or data.startswith(_RAW_STARTS) or data[4:12] == b"ftypcrx ":
         raise InputError(
-            f"{file}: raw images of a camera are not read; convert it first, for example: "
+            f"{file}: raw images of a camera are not supported; convert it first, for example: "
             f"dcraw -T -4 -h {shlex.quote(file.name)}, which writes a 16-bit TIFF"
         )
 

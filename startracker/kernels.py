@@ -11,7 +11,7 @@ import hashlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -89,7 +89,7 @@ def _held(folder: Path, name: str) -> Iterator[None]:
     file = None
     try:
         file = _lock_file(folder)
-        fcntl.lockf(file, fcntl.LOCK_EX, 1, byte)
+        _wait_for_lock(file, byte)
     except (OSError, NameError):
         file = None
     try:
@@ -97,6 +97,19 @@ def _held(folder: Path, name: str) -> Iterator[None]:
     finally:
         if file is not None:
             fcntl.lockf(file, fcntl.LOCK_UN, 1, byte)
+
+
+def _wait_for_lock(file: int, byte: int) -> None:
+    """Lock a byte; waiting for the process that compiles the kernel counts as compiling."""
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
+        return
+    except (BlockingIOError, PermissionError):
+        progress.begin(_on_disk)
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX, 1, byte)
+    finally:
+        progress.end(None)
 
 
 @cache
@@ -130,7 +143,7 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
-        progress.begin(_is_on_disk)
+        progress.begin(_on_disk)
 
     def on_end(self, seen: event.Event) -> None:
         function = seen.data["dispatcher"].py_func
@@ -143,17 +156,32 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
 
 def is_compiled(task: str) -> bool:
     """Whether most kernels of a task are on disk, according to `startracker.compilation.expected_kernels`."""
-    expected = expected_kernels(task)
-    return 2.0 * sum(s for name, s in expected.items() if _is_on_disk(name)) > sum(expected.values())
+    if task not in _compiled_tasks:
+        expected = expected_kernels(task)
+        if 2.0 * sum(expected[name] for name in _on_disk(expected)) <= sum(expected.values()):
+            return False
+        _compiled_tasks.add(task)
+    return True
 
 
-def _is_on_disk(name: str) -> bool:
-    """Whether a kernel of a loaded module has been compiled by an earlier process."""
-    module, _, function = name.partition(":")
-    dispatcher = getattr(sys.modules.get(module), function, None)
-    if dispatcher is None or not hasattr(dispatcher, "stats"):  # not loaded, or no longer a kernel
-        return False
-    return any(Path(dispatcher.stats.cache_path).glob(f"*.{function}-*.nbi"))
+_compiled_tasks: set[str] = set()
+
+
+def _on_disk(names: Iterable[str]) -> list[str]:
+    """Those of the kernels of loaded modules that a process has compiled."""
+    listed: dict[Path, set[str]] = {}
+    found = []
+    for name in names:
+        module, _, function = name.partition(":")
+        dispatcher = getattr(sys.modules.get(module), function, None)
+        if dispatcher is None or not hasattr(dispatcher, "stats"):  # not loaded, or no longer a kernel
+            continue
+        folder = Path(dispatcher.stats.cache_path)
+        if folder not in listed:
+            listed[folder] = {file.name.rpartition("-")[0] for file in folder.glob("*.nbi")}
+        if f"{module.rpartition('.')[2]}.{function}" in listed[folder]:
+            found.append(name)
+    return found
 
 
 event.register("numba:compile", _Listener())

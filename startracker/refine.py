@@ -33,7 +33,7 @@ from startracker.estimation.pose import (
     fit_pose,
 )
 from startracker.estimation.wahba import fit_rotation
-from startracker.identification.association import MARGIN_PX, joined, matched_again, named
+from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.image_map import ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import cross, solve, turned
@@ -171,7 +171,7 @@ def _matched(
 ) -> tuple[IntArray, FloatArray, Camera]:
     """Pairs that agree with the attitude of the previous pairs, iterated until unchanged; their attitude, and the
     camera."""
-    sky, grid, fewest, same, matrix = guide.directions, guide.grid, len(used), False, np.zeros((3, 3))
+    sky, fewest, same, matrix = guide.directions, len(used), False, np.zeros((3, 3))
     for _ in range(12):
         matrix, reference = _first_fit(used, directions, sky, sigma, matrix)
         if free_focal:
@@ -180,8 +180,8 @@ def _matched(
             directions = camera.unproject(xy)
         if same:
             break
-        cosine = field_cosine(camera, MARGIN_PX)
-        fitting, same = matched_again(used, matrix, reference, xy, sigma, known, sky, grid, cosine, camera.image_map)
+        field = Field(sky, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
+        fitting, same = matched_again(used, matrix, reference, xy, sigma, known, field)
         if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to find a false match: keep the identified ones
             break
         used = fitting
@@ -190,8 +190,8 @@ def _matched(
     if known and len(used) >= _FEWEST_TO_REJECT:  # bright stars show systematic errors: do not reject them yet
         wide = np.maximum(sigma, median(sigma[used[:, 0]]))
         matrix, reference = _first_fit(used, directions, sky, wide, matrix)
-        cosine = field_cosine(camera, MARGIN_PX)
-        more, _ = matched_again(used, matrix, reference, xy, wide, known, sky, grid, cosine, camera.image_map)
+        field = Field(sky, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
+        more, _ = matched_again(used, matrix, reference, xy, wide, known, field)
         used = more if len(more) >= len(used) else used
     return used, matrix, camera
 
@@ -366,7 +366,6 @@ def _refocused(
     return camera, matrix
 
 
-@kernel
 def _linearised(
     xy: FloatArray, matrix: FloatArray, reference: FloatArray, image: ImageMap
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

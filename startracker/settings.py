@@ -45,8 +45,10 @@ class DetectionSettings:
     ----------
     threshold_sigma : float
         Threshold of star candidates above the background, in units of the noise.
-    min_pixels, max_pixels : int
-        Size limits of a candidate (Greyling 1995, section 4.2: 7 to 36).
+    min_pixels : int
+        Minimum size of a candidate (Greyling 1995, section 4.2: 7).
+    max_pixels : int
+        Maximum size of a candidate (Greyling 1995, section 4.2: 36).
     max_axis_ratio : float
         Ratio of the second moments along the two principal axes above which a candidate is classified as a streak or an
         edge. Greyling's 0.7 to 1.3 (1995, section 4.2) corresponds to 1.3. The default is larger because smear

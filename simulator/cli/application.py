@@ -58,14 +58,14 @@ def _root(
 
 def report_command(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder that `boresight run` left.", show_default=False)
+        Path, typer.Argument(metavar="DIR", help="Results folder of `boresight run`.", show_default=False)
     ],
-    pdf: Annotated[bool, switch("--pdf", "Write report.pdf too.")] = False,
+    pdf: Annotated[bool, switch("--pdf", "Also write report.pdf.")] = False,
     budget: Annotated[
-        Path | None, option("--budget", "FILE", "Error budget to take in: that of `boresight study budget`.")
+        Path | None, option("--budget", "FILE", "Error budget to include, from `boresight study budget`.")
     ] = None,
 ) -> None:
-    """Write the report of a finished run again, from its files: report.html, and report.pdf for signing."""
+    """Write the report of a finished run again from its files: report.html and, with --pdf, report.pdf."""
     from simulator.cli.report_command import report_of_folder
 
     raise typer.Exit(report_of_folder(folder, pdf, budget))
@@ -76,27 +76,27 @@ def compare_command(
         list[str],
         typer.Argument(
             metavar="RUN_DIR...",
-            help="Folders of boresight run, or of boresight sweep (all its points; DIR:3 for one).",
+            help="Results folders of boresight run, or of boresight sweep (all points; DIR:3 for one).",
             show_default=False,
         ),
     ],
     out: Annotated[Path, option("--out", "PAGE.html", "Page to write.")] = Path("comparison.html"),
 ) -> None:
-    """Compare runs: what differs in their scenarios, errors with intervals, rates and times."""
+    """Compare runs: differences of their scenarios, errors with intervals, rates and times."""
     from simulator.cli.sweep_command import compare_runs
 
     raise typer.Exit(compare_runs(runs, out))
 
 
 def validate_command(scenarios: ScenarioFiles) -> None:
-    """Check scenarios: every mistake at once, each with file, line and key."""
+    """Check scenarios, and report every error with file, line and key."""
     from simulator.cli.scenario_commands import validate
 
     raise typer.Exit(validate(scenarios))
 
 
 def show_command(scenario: ScenarioFile, set_values: SetValues = None) -> None:
-    """Print a scenario with every default spelled out."""
+    """Print a scenario with all defaults."""
     from simulator.cli.scenario_commands import show
 
     raise typer.Exit(show(scenario, set_values or []))

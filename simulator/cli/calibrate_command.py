@@ -42,7 +42,7 @@ def main(request: CalibrateRequest) -> int:
             print(error, file=sys.stderr)
             faults += 1
     if not fields:
-        raise InputError("calibrate: no image with stars is left")
+        raise InputError("calibrate: no image was solved")
     result = calibrate(
         fields,
         camera=camera,

@@ -29,7 +29,7 @@ def processes(workers: int | None, dask: str | None, trials: int) -> int:
     """
     at_least(1, workers=workers)
     if workers is not None and dask is not None:
-        raise InputError("--workers and --dask: give one of the two; a cluster has workers of its own")
+        raise InputError("--workers and --dask: give one of the two; a cluster has its own workers")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return workers or max(1, min(cores, trials // 100))
 
@@ -65,7 +65,7 @@ def picture_format(path: Path | None) -> str:
     form = "png" if path is None else path.suffix.lower().removeprefix(".")
     if form not in FORMATS:
         known = f"{', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
-        raise InputError(f"{path}: pictures are written as {known}; give the name such an ending")
+        raise InputError(f"{path}: the suffix of a picture must be {known}")
     return form
 
 
@@ -76,6 +76,6 @@ def writable(path: Path | None) -> None:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file")
     if not path.parent.is_dir():
-        raise InputError(f"{path}: its folder {path.parent} does not exist; make it, or name another")
+        raise InputError(f"{path}: its folder {path.parent} does not exist; create it, or choose another")
     if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path}: its folder {path.parent} cannot be written to; name another")
+        raise InputError(f"{path}: its folder {path.parent} cannot be written to; choose another")

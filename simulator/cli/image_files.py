@@ -21,7 +21,7 @@ def image_files(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
         found = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES) if path.is_dir() else [path]
         if not found:
-            raise InputError(f"{path}: holds no image ({', '.join(_SUFFIXES)})")
+            raise InputError(f"{path}: contains no image ({', '.join(_SUFFIXES)})")
         yield from found
 
 

@@ -65,10 +65,10 @@ SetValues = Annotated[
         autocompletion=complete_key,
     ),
 ]
-Seed = Annotated[int | None, option("--seed", "S", "In place of the scenario's seed.")]
+Seed = Annotated[int | None, option("--seed", "S", "Seed; default: the scenario's.")]
 Dask = Annotated[
     str | None,
-    option("--dask", "ADDRESS", "Run on the workers of the dask.distributed scheduler there instead."),
+    option("--dask", "ADDRESS", "Run on the workers of this dask.distributed scheduler."),
 ]
 Catalog = Annotated[str, option("--catalog", "NAME", "Star catalogue: hipparcos or bsc5.")]
 

@@ -22,71 +22,81 @@ __all__ = ["PictureRequest", "finish", "greyling1995_study"]
 
 WIDTH = 140  # columns of the table where the output is no terminal
 
-SectionName = Annotated[str | None, option("--section", "NAME", "Only this part; an unknown name lists them.")]
+SectionName = Annotated[
+    str | None, option("--section", "NAME", "Compute this section only; an unknown name lists the sections.")
+]
 OutFolder = Annotated[Path | None, option("--out", "DIR", "Folder for the table and the figures; default: out/NAME.")]
 
-Force = Annotated[
-    bool, switch("--force", "Replace results of another version, or of more sections, that stand in DIR.")
-]
+Force = Annotated[bool, switch("--force", "Replace results of another version, or of more sections, in DIR.")]
 
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """Yee 1999 (identification by triads) again, or its tables for any list of centroids."""
+    """Recompute Yee 1999 (identification by triads), or its tables for any list of centroids."""
 
     centroids: Annotated[
         Path | None,
-        option("--centroids", "FILE.csv", "Columns x, y, brightest first, or with flux; default: her Vega image."),
+        option(
+            "--centroids",
+            "FILE.csv",
+            "Columns x, y, brightest first, or with flux; default: the Vega image of the thesis.",
+        ),
     ] = None
-    size: Annotated[str | None, option("--size", "WxH", "Of the image, pixels.")] = None
-    fov: Annotated[str | None, option("--fov", "XxY", "Field across and down, degrees, such as 9.0130x6.9049.")] = None
+    size: Annotated[str | None, option("--size", "WxH", "Image size, pixels.")] = None
+    fov: Annotated[str | None, option("--fov", "XxY", "Field of view, degrees, such as 9.0130x6.9049.")] = None
     edition: Annotated[
-        int | None, option("--edition", "4|5", "Of the Bright Star Catalogue; default: 4 for the Vega image, else 5.")
+        int | None,
+        option("--edition", "4|5", "Edition of the Bright Star Catalogue; default: 4 for the Vega image, otherwise 5."),
     ] = None
     origin: Annotated[
         str,
         option(
             "--origin",
             "WHERE",
-            "Of the centroids: centre (y up), corner (columns and rows, y down), or auto: centre where one is "
-            "negative.",
+            "Origin of the centroids: centre (y up), corner (columns and rows, y down), or auto (centre if a value "
+            "is negative).",
         ),
     ] = "auto"
-    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Faintest star of the sub-catalogue.")] = 6.0
-    dec: Annotated[str, option("--dec", "MIN:MAX", "Declinations of the sub-catalogue, degrees.")] = "30:90"
+    magnitude_limit: Annotated[
+        float, option("--magnitude-limit", "V", "Magnitude of the faintest star of the sub-catalogue.")
+    ] = 6.0
+    dec: Annotated[str, option("--dec", "MIN:MAX", "Range of declinations of the sub-catalogue, degrees.")] = "30:90"
     max_separation_deg: Annotated[
-        float | None, option("--max-separation-deg", "A", "Of the pair database; default: the field's diagonal.")
+        float | None,
+        option("--max-separation-deg", "A", "Maximum separation in the pair database; default: diagonal of the field."),
     ] = None
     separation_tolerance_deg: Annotated[
-        float, typer.Option(metavar="A", help="Largest difference of a separation, degrees.")
+        float, typer.Option(metavar="A", help="Maximum difference of a separation, degrees.")
     ] = 0.15
     rotation_tolerance_deg: Annotated[
-        float, typer.Option(metavar="A", help="Largest difference between the rotations of a triad, degrees.")
+        float, typer.Option(metavar="A", help="Maximum difference between the rotations of a triad, degrees.")
     ] = 5.0
     enclosed_tolerance_deg: Annotated[
-        float, typer.Option(metavar="A", help="Largest difference of an inner angle, degrees.")
+        float, typer.Option(metavar="A", help="Maximum difference of an inner angle, degrees.")
     ] = 1.0
     grouping_tolerance_deg: Annotated[
-        float, typer.Option(metavar="A", help="Largest difference from the mean rotation of a group, degrees.")
+        float, typer.Option(metavar="A", help="Maximum difference from the mean rotation of a group, degrees.")
     ] = 5.0
-    vote_number: Annotated[int, typer.Option(metavar="N", help="Fewest triads that name a star.")] = 2
-    tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars this close are one.")] = 8.0
+    vote_number: Annotated[int, typer.Option(metavar="N", help="Minimum number of triads that contain a star.")] = 2
+    tau_px: Annotated[float, typer.Option(metavar="R", help="Catalogue stars closer than this are merged, pixels.")] = (
+        8.0
+    )
     three_stars: Annotated[
-        bool, switch("--three-stars", "Match three stars alone, where one group of triads is found.")
+        bool, switch("--three-stars", "Match three stars alone if one group of triads is found.")
     ] = False
     integers: Annotated[bool, switch("--integers", "Identify in integer arithmetic.")] = False
     points: Annotated[
         list[str] | None,
-        option("--point", "X,Y", "Right ascension and declination of a point, origin as the centroids'."),
+        option("--point", "X,Y", "Print right ascension and declination of a point (origin as of the centroids)."),
     ] = None
-    json_file: Annotated[Path | None, option("--json", "FILE", "Write every table of the picture as JSON.")] = None
+    json_file: Annotated[Path | None, option("--json", "FILE", "Write all tables as JSON.")] = None
     section: SectionName = None
     out: OutFolder = None
     force: Force = False
 
 
 def greyling1995_study(section: SectionName = None, out: OutFolder = None, force: Force = False) -> int:
-    """Greyling 1995 (the microsatellite's star camera) again: each printed value beside the computed one."""
+    """Recompute Greyling 1995 (star camera of a microsatellite): published values beside computed ones."""
     from simulator.theses import greyling1995
 
     folder = out or Path("out") / "greyling1995"
@@ -109,7 +119,7 @@ def finish(
     path : Path
         Where the files go.
     force : bool
-        Replace what stands there.
+        Replace existing results.
 
     Returns
     -------
@@ -148,9 +158,9 @@ def _refuse_loss(file: Path, section: str | None) -> None:
         version, sections = "unknown", []
     either = "choose another --out, or replace them with --force"
     if version != __version__:
-        raise InputError(f"{file}: results of another version (boresight {version}) stand there; {either}")
+        raise InputError(f"{file}: contains results of another version (boresight {version}); {either}")
     if section is not None and set(sections) > {section}:
         raise InputError(
-            f"{file}: results of {len(sections)} sections (boresight {version}) stand there, and only '{section}' was "
-            f"asked for; {either}"
+            f"{file}: contains results of {len(sections)} sections (boresight {version}), but only '{section}' is "
+            f"requested; {either}"
         )

@@ -47,15 +47,14 @@ def main(request: RunRequest) -> int:
 
 def _refuse_unused(request: RunRequest) -> None:
     """Refuse the first option that has no effect with ``--sequence``, or without it."""
-    unused = ("trials", "workers", "dask", "resume") if request.sequence else ("frames", "step_s", "single", "animate")
+    of_sequences = ("frames", "step_s", "single", "animate", "ccsds")
+    unused = ("trials", "workers", "dask", "resume") if request.sequence else of_sequences
     for name in unused:
         value, option = getattr(request, name), f"--{name.replace('_', '-')}"
         if value is not None and value is not False:
             if request.sequence:
-                raise InputError(
-                    f"{option}: means nothing with --sequence, whose frames come one after the other; leave it out"
-                )
-            raise InputError(f"{option}: belongs to --sequence; add that, or leave it out")
+                raise InputError(f"{option}: has no effect with --sequence; remove it")
+            raise InputError(f"{option}: requires --sequence")
 
 
 def _print(study: Study, folder: Path, console: Console) -> None:

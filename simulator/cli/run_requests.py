@@ -12,7 +12,7 @@ from simulator.cli.options import Dask, ScenarioFile, ScenarioFiles, Seed, SetVa
 
 Force = Annotated[
     bool,
-    switch("--force", "Compute everything again, and replace results of another run that stand in DIR."),
+    switch("--force", "Recompute everything, and replace results of another run in DIR."),
 ]
 
 _SEQUENCES, _PICTURE = "Sequences", "Picture"
@@ -23,12 +23,12 @@ class RunRequest:
     """Run a Monte Carlo study: statistics on the terminal, trials.parquet, summary.json and report.html in DIR."""
 
     scenario: ScenarioFile
-    trials: Annotated[int | None, option("--trials", "N", "In place of the scenario's number of trials.")] = None
+    trials: Annotated[int | None, option("--trials", "N", "Number of trials; default: the scenario's.")] = None
     seed: Seed = None
     set_values: SetValues = None
     workers: Annotated[
         int | None,
-        option("--workers", "N", "Processes on this machine; default: its cores. The rows do not depend on it."),
+        option("--workers", "N", "Processes on this machine; default: one per core. The rows do not depend on it."),
     ] = None
     dask: Dask = None
     out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME.")] = None
@@ -36,35 +36,41 @@ class RunRequest:
         bool,
         switch(
             "--resume",
-            "Make a finished run longer by its trials in DIR. Those of an interrupted run are taken over anyway.",
+            "Extend the finished run in DIR. An interrupted run is always continued.",
         ),
     ] = False
     force: Force = False
     sequence: Annotated[
         bool,
-        switch("--sequence", "Run the scenario's sequence instead: consecutive frames in tracking mode.", _SEQUENCES),
+        switch("--sequence", "Run the scenario's sequence: consecutive frames in tracking mode.", _SEQUENCES),
     ] = False
-    frames: Annotated[
-        int | None, option("--frames", "N", "Number of frames, in place of the scenario's.", _SEQUENCES)
-    ] = None
+    frames: Annotated[int | None, option("--frames", "N", "Number of frames; default: the scenario's.", _SEQUENCES)] = (
+        None
+    )
     step_s: Annotated[
-        float | None, option("--step-s", "S", "Time between frames, in place of the scenario's.", _SEQUENCES)
+        float | None, option("--step-s", "S", "Time between frames, seconds; default: the scenario's.", _SEQUENCES)
     ] = None
-    single: Annotated[bool, switch("--single", "Solve every frame alone too, to compare.", _SEQUENCES)] = False
+    single: Annotated[bool, switch("--single", "Also solve every frame separately, for comparison.", _SEQUENCES)] = (
+        False
+    )
     animate: Annotated[
-        bool, switch("--animate", "Write a GIF of the frames, and an MP4 where ffmpeg is installed.", _SEQUENCES)
+        bool, switch("--animate", "Write a GIF of the frames, and an MP4 if ffmpeg is installed.", _SEQUENCES)
+    ] = False
+    ccsds: Annotated[
+        bool,
+        switch("--ccsds", "Write the trajectory as OEM, and true and estimated attitudes as AEM and ACM.", _SEQUENCES),
     ] = False
 
 
 @dataclass(frozen=True)
 class RenderRequest:
-    """Render a frame; of several scenarios one each, --out and --preview then name folders."""
+    """Render a frame. For several scenarios, --out and --preview are folders."""
 
     scenarios: ScenarioFiles
-    index: Annotated[int | None, option("--index", "I", "The frame of this trial; default 0.")] = None
-    at: Annotated[str | None, option("--at", "TIME", "The frame at this UTC time (ISO 8601) instead.")] = None
+    index: Annotated[int | None, option("--index", "I", "Render the frame of this trial; default: 0.")] = None
+    at: Annotated[str | None, option("--at", "TIME", "Render the frame at this time (UTC, ISO 8601).")] = None
     pointing: Annotated[
-        str | None, option("--pointing", "RA,DEC,ROLL", "Point the camera there (degrees, ICRS) instead.")
+        str | None, option("--pointing", "RA,DEC,ROLL", "Point the camera in this direction (degrees, ICRS).")
     ] = None
     seed: Seed = None
     set_values: SetValues = None
@@ -73,18 +79,18 @@ class RenderRequest:
         Path | None, option("--preview", "FRAME.png", "Write a picture (png, jpg, svg, pdf).", _PICTURE)
     ] = None
     colour: Annotated[bool, switch("--colour", "Show the stars in their colours.", _PICTURE)] = False
-    axes: Annotated[bool, switch("--axes", "Plot pixel axes and names.", _PICTURE)] = False
+    axes: Annotated[bool, switch("--axes", "Add pixel axes and names to the picture.", _PICTURE)] = False
     noiseless: Annotated[
-        bool, switch("--noiseless", "Switch off every noise and flaw of the detector, and the background.")
+        bool, switch("--noiseless", "Switch off all noise and defects of the detector, and the background.")
     ] = False
     noiseless_plane: Annotated[
-        bool, switch("--noiseless-plane", "Add the light before the detector to the FITS file (MEAN_E).")
+        bool, switch("--noiseless-plane", "Add the mean photo-electrons to the FITS file (extension MEAN_E).")
     ] = False
 
 
 @dataclass(frozen=True)
 class SweepRequest:
-    """Run a scenario at many values of its keys: one dataset, statistics of every point, plots, sweep.html in DIR."""
+    """Run a scenario for many values of its keys: dataset, statistics of every point, plots and sweep.html in DIR."""
 
     scenario: ScenarioFile
     over: Annotated[
@@ -96,25 +102,27 @@ class SweepRequest:
             show_default=False,
         ),
     ]
-    lhs: Annotated[int | None, option("--lhs", "N", "A Latin hypercube of N points instead of the full grid.")] = None
-    trials: Annotated[int | None, option("--trials", "N", "Trials per point, in place of the scenario's.")] = None
+    lhs: Annotated[int | None, option("--lhs", "N", "Use a Latin hypercube of N points instead of the full grid.")] = (
+        None
+    )
+    trials: Annotated[int | None, option("--trials", "N", "Trials per point; default: the scenario's.")] = None
     seed: Seed = None
     set_values: SetValues = None
-    workers: Annotated[int | None, option("--workers", "N", "Processes on this machine; default: its cores.")] = None
+    workers: Annotated[int | None, option("--workers", "N", "Processes on this machine; default: one per core.")] = None
     dask: Dask = None
     out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-sweep.")] = None
     resume: Annotated[
-        bool, switch("--resume", "Go on from an interrupted sweep in DIR; a finished one stays as it is.")
+        bool, switch("--resume", "Continue an interrupted sweep in DIR; a finished one is left unchanged.")
     ] = False
     force: Force = False
 
 
 @dataclass(frozen=True)
 class DatasheetRequest:
-    """Measure a datasheet in the words of ECSS-E-ST-60-20C: datasheet.json, .html and .pdf in DIR."""
+    """Measure a datasheet in the terms of ECSS-E-ST-60-20C: datasheet.json, .html and .pdf in DIR."""
 
     scenario: ScenarioFile
-    quick: Annotated[bool, switch("--quick", "A first look with fewer frames, within a minute.")] = False
+    quick: Annotated[bool, switch("--quick", "Use fewer frames, for a first result within a minute.")] = False
     eol_set: Annotated[
         list[str] | None,
         typer.Option(
@@ -128,7 +136,9 @@ class DatasheetRequest:
     set_values: SetValues = None
     workers: Annotated[
         int | None,
-        option("--workers", "N", "Processes on this machine; default: its cores. The datasheet does not depend on it."),
+        option(
+            "--workers", "N", "Processes on this machine; default: one per core. The datasheet does not depend on it."
+        ),
     ] = None
     out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-datasheet.")] = None
     force: Force = False

@@ -134,9 +134,7 @@ def _check(request: SolveRequest) -> None:
     if request.parity is not None and request.parity not in PARITIES:
         raise InputError(f"--parity: must be {', '.join(PARITIES)}, not '{request.parity}'")
     if request.annotate is None and (request.grid or request.constellations or request.colour):
-        raise InputError(
-            "--grid, --constellations and --colour: draw on the picture of --annotate OUT.png; give that too"
-        )
+        raise InputError("--grid, --constellations and --colour: require --annotate OUT.png")
     _points(request)
     if len(images) == 1 and not images[0].is_dir():
         if request.wcs is not None and not request.wcs.is_dir():
@@ -238,7 +236,7 @@ class _Solver:
 
         A calibrated camera is taken at its word. A field of view given by hand is good to a few per cent: a
         photograph's focal length is fitted, and only where that fails, as it needs more stars, the number is taken
-        for exact; a list of centroids the other way round. Without either everything is found out.
+        for exact; a list of centroids the other way round. Without either everything is determined.
         """
         if min(job.width, job.height) < _SMALLEST_PX:
             reason = f"{job.width}×{job.height} pixels hold no star field"

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from simulator.cli.checks import at_least
+from simulator.cli.environment_command import environment_study
 from simulator.cli.options import ScenarioFile, SetValues, as_command, option, switch
 from simulator.cli.printed_command import PictureRequest, greyling1995_study
 from simulator.cli.suggesting import SuggestingGroup
@@ -19,7 +20,7 @@ from simulator.cli.terminal import open_console, progress_bar
 
 __all__ = ["STUDIES", "study_app"]
 
-AlongPath = Annotated[bool, switch("--path", "Along the mission's boresight path in place of the whole sky.")]
+AlongPath = Annotated[bool, switch("--path", "Use the boresight path of the mission instead of the whole sky.")]
 Force = Annotated[bool, switch("--force", "Replace results of another scenario, version or longer study in DIR.")]
 Workers = Annotated[int, option("--workers", "N", "Processes on this machine.")]
 
@@ -31,14 +32,15 @@ def coverage_study(
         option(
             "--magnitude-limit",
             "V",
-            "Faintest star counted; default: the faintest that the tracker knows and the camera detects.",
+            "Magnitude of the faintest star counted; default: that of the guide catalogue or of detection.",
         ),
     ] = None,
     snr: Annotated[
-        float | None, option("--snr", "R", "Signal-to-noise ratio of a detection; default: the tracker's.")
+        float | None,
+        option("--snr", "R", "Signal-to-noise ratio of the faintest detected star; default: the tracker's."),
     ] = None,
     circle_deg: Annotated[
-        float | None, option("--circle-deg", "R", "A circular field of this radius in place of the camera's.")
+        float | None, option("--circle-deg", "R", "Use a circular field of this radius instead of the camera's.")
     ] = None,
     sun_deg: Annotated[float | None, option("--sun-deg", "A", "Exclusion angle of the Sun.")] = None,
     moon_deg: Annotated[float | None, option("--moon-deg", "A", "Exclusion angle of the Moon.")] = None,
@@ -46,13 +48,13 @@ def coverage_study(
     boresights: Annotated[
         int, option("--boresights", "N", "Directions over the sky, or instants along the path.")
     ] = 10_000,
-    rolls: Annotated[int, option("--rolls", "N", "Rolls tried at each direction.")] = 1,
+    rolls: Annotated[int, option("--rolls", "N", "Number of rolls for each direction.")] = 1,
     path: AlongPath = False,
     set_values: SetValues = None,
     out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-coverage.")] = None,
     force: Force = False,
 ) -> int:
-    """Stars in the field over the whole sky or along the path: map, minima, availability."""
+    """Stars in the field over the whole sky or along the path: map, minimum, availability."""
     from simulator.checks import load_scenario
     from simulator.cli.study_output import print_coverage
     from simulator.study.coverage.exclusions import exclusion_of
@@ -61,7 +63,7 @@ def coverage_study(
     from simulator.study.results_folder import Identity, results_folder, scenario_sha256
 
     loaded = load_scenario(scenario, set_values)
-    exclusion, sources = exclusion_of(loaded, {"sun": sun_deg, "moon": moon_deg, "earth": earth_deg})
+    exclusion = exclusion_of(loaded, {"sun": sun_deg, "moon": moon_deg, "earth": earth_deg})
     asked: dict[str, Any] = {
         "path": path,
         "rolls": rolls,
@@ -73,7 +75,7 @@ def coverage_study(
     sha256 = scenario_sha256(loaded, coverage=True, **asked)
     identity = Identity("coverage", loaded.name, loaded.seed, sha256, {"boresights": boresights})
     with results_folder(out or Path("out") / f"{loaded.name}-coverage", identity, force=force) as folder:
-        result = coverage(loaded, boresights, sources=sources, **asked)
+        result = coverage(loaded, boresights, **asked)
         write_coverage(result, loaded, folder, identity)
     print_coverage(result, open_console())
     print(f"{folder}: {', '.join(RESULT_FILES)}")
@@ -83,26 +85,26 @@ def coverage_study(
 def design_study(
     scenario: ScenarioFile,
     over: Annotated[str, option("--over", "PARAMETER", "optics.aperture_mm, field (degrees) or detector.exposure_s.")],
-    low: Annotated[float, option("--from", "A", "Smallest value tried.")],
-    high: Annotated[float, option("--to", "B", "Largest value tried.")],
-    steps: Annotated[int, option("--steps", "N", "Values of the table.")] = 12,
-    stars: Annotated[int, option("--stars", "K", "Stars that an attitude needs.")] = 5,
+    low: Annotated[float, option("--from", "A", "Smallest value.")],
+    high: Annotated[float, option("--to", "B", "Largest value.")],
+    steps: Annotated[int, option("--steps", "N", "Number of values in the table.")] = 12,
+    stars: Annotated[int, option("--stars", "K", "Number of stars that an attitude requires.")] = 5,
     availability: Annotated[
         float | None,
         option(
             "--availability",
             "P",
-            "Share of the sky, or of the time, that must have them; default: the specification's, otherwise 0.999.",
+            "Fraction of the sky, or of the time, with enough stars; default: the specification's, otherwise 0.999.",
         ),
     ] = None,
-    boresights: Annotated[int, option("--boresights", "N", "Attitudes looked at.")] = 5000,
+    boresights: Annotated[int, option("--boresights", "N", "Number of attitudes.")] = 5000,
     path: AlongPath = False,
     verify_trials: Annotated[
         int | None,
         option(
             "--verify",
             "N",
-            "Run so many trials of the value found, and of larger ones while they contradict it; 0: none; "
+            "Run this many trials of the value found, and of larger ones while they contradict it; 0: none; "
             "default: enough for a verdict, 1965 for 99.7 %.",
         ),
     ] = None,
@@ -111,7 +113,7 @@ def design_study(
     out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-design.")] = None,
     force: Force = False,
 ) -> int:
-    """The smallest aperture, field or exposure that meets the specification and an availability."""
+    """Find the smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
     from simulator.cli.study_output import print_design, print_verified
     from simulator.study.design.files import write_design
@@ -149,13 +151,13 @@ def design_study(
 
 def budget_study(
     scenario: ScenarioFile,
-    trials: Annotated[int, option("--trials", "N", "Trials of each run.")] = 200,
+    trials: Annotated[int, option("--trials", "N", "Trials per run.")] = 200,
     workers: Workers = 1,
     set_values: SetValues = None,
     out: Annotated[Path | None, option("--out", "DIR", "Folder for the results; default: out/NAME-budget.")] = None,
     force: Force = False,
 ) -> int:
-    """What makes up the error: effects switched off one at a time, and the classes of ECSS-E-ST-60-20C."""
+    """Contribution of each effect, switched off one at a time, and of the classes of ECSS-E-ST-60-20C."""
     from dataclasses import replace
 
     from simulator.checks import load_scenario
@@ -173,7 +175,7 @@ def budget_study(
             result = budget(loaded, trials, workers, progress=progress)
         print(result.table())
         if result.interrupted and not force and standing(folder, "budget"):
-            print(f"{folder}: keeps the budget that was there, as this one was interrupted")
+            print(f"{folder}: the previous budget is kept, as this one was interrupted")
             return 130
         if result.interrupted:
             identity = replace(identity, amounts={"trials": 0})
@@ -187,6 +189,7 @@ STUDIES: dict[str, Callable[..., int | None]] = {
     "coverage": coverage_study,
     "design": design_study,
     "budget": budget_study,
+    "environment": environment_study,
     "greyling1995": greyling1995_study,
     "yee1999": as_command(PictureRequest, "yee_picture"),
 }
@@ -195,7 +198,7 @@ STUDIES: dict[str, Callable[..., int | None]] = {
 
 study_app = typer.Typer(
     cls=SuggestingGroup,
-    help="Studies that answer one question each: sky coverage, design, error budget; two printed works computed again.",
+    help="Studies of a camera: sky coverage, design, error budget, radiation; two theses recomputed.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -203,6 +206,7 @@ _EXAMPLES = {
     "coverage": "boresight study coverage cubesat",
     "design": "boresight study design cubesat --over optics.aperture_mm --from 3 --to 30",
     "budget": "boresight study budget cubesat --trials 200",
+    "environment": "boresight study environment aged",
     "greyling1995": "boresight study greyling1995 --section chapter-4",
     "yee1999": "boresight study yee1999",
 }

@@ -12,9 +12,12 @@ __all__ = ["welcome_text"]
 _TRY = (
     ("boresight run cubesat --trials 100", "accuracy of a star tracker in orbit: out/cubesat/report.html"),
     ("boresight render moon --preview moon.png", "one frame of a scenario as a picture"),
-    ("boresight solve sample --annotate solved.png", "where a photograph looked; a JPEG, TIFF or FITS of yours too"),
-    ("boresight show cubesat > my.yaml", "a scenario to change: every key with unit and default"),
-    ("boresight sweep cubesat --over optics.aperture_mm=6:24:7", "accuracy against any key"),
+    (
+        "boresight solve sample --annotate solved.png",
+        "direction of a photograph; also of your own JPEG, TIFF, FITS",
+    ),
+    ("boresight show cubesat > my.yaml", "a scenario to edit: every key with unit and default"),
+    ("boresight sweep cubesat --over optics.aperture_mm=6:24:7", "accuracy as a function of any key"),
 )
 
 
@@ -24,7 +27,7 @@ def welcome_text() -> str:
     gallery = [name.partition("/")[2] for name in included_scenarios() if "/" in name]
     wide = max(len(command) for command, _ in _TRY)
     lines = [
-        f"boresight {__version__}: a star camera in orbit, simulated, and the star tracker that solves its frames.",
+        f"boresight {__version__}: simulator of a star camera in orbit, and the star tracker that solves its frames.",
         "",
         "Try first:",
         *(f"  {command:<{wide}}  {what}" for command, what in _TRY),
@@ -32,8 +35,8 @@ def welcome_text() -> str:
         *_wrapped(f"Scenarios: {', '.join(name for name in names if name not in gallery)}"),
         *_wrapped(f"Gallery, one effect each: {', '.join(gallery)}"),
         "",
-        "boresight --help lists the commands, boresight run --help the options of one.",
-        "boresight --install-completion lets the Tab key complete commands, options, scenarios and keys.",
+        "boresight --help lists the commands, boresight run --help the options of a command.",
+        "boresight --install-completion enables Tab completion of commands, options, scenarios and keys.",
     ]
     return "\n".join(lines)
 

@@ -15,7 +15,7 @@ from simulator.environment.parameters import Environment
 from simulator.environment.spectrum import Spectrum
 from simulator.environment.trapped import ELECTRON_MEV, PROTON_MEV, TrappedBelts
 from simulator.mission.frames import itrs_km
-from simulator.mission.orbit import Orbit
+from simulator.mission.trajectory import Trajectory, geocentric
 
 FloatArray = NDArray[np.float64]
 
@@ -31,8 +31,8 @@ class OrbitRadiation:
     protons: Spectrum
     electrons: Spectrum
     """Trapped particles, flux averaged over the orbit, particles/cm²/s."""
-    solar_events: Spectrum
-    """Solar protons that arrive during the scenario's events, fluence, protons/cm²."""
+    solar_share: FloatArray
+    """Fraction of time and directions in which solar protons arrive, at the energies of `solar.EVENT_MEV`."""
 
 
 @dataclass(frozen=True)
@@ -52,15 +52,16 @@ class Dose:
         return self.protons_krad + self.electrons_krad + self.solar_krad
 
 
-def orbit_positions(orbit: Orbit, samples: int = SAMPLES) -> tuple[FloatArray, FloatArray]:
+def orbit_positions(orbit: Trajectory, samples: int = SAMPLES) -> tuple[FloatArray, FloatArray]:
     """Times (N,), seconds after the epoch, and positions (N, 3), km, in the Earth's frame, distributed over
-    `SAMPLED_DAYS` days."""
-    t_s = np.linspace(0.0, SAMPLED_DAYS * 86_400.0, samples, endpoint=False, dtype=np.float64)
-    return t_s, itrs_km(orbit.clock, t_s, orbit.state(t_s)[0])
+    `SAMPLED_DAYS` days, or over what a file of states has of them."""
+    first_s, last_s = max(orbit.span_s[0], 0.0), min(orbit.span_s[1], SAMPLED_DAYS * 86_400.0)
+    t_s = np.linspace(first_s, last_s, samples, endpoint=False, dtype=np.float64)
+    return t_s, itrs_km(orbit.clock, t_s, geocentric(orbit, t_s).r_km)
 
 
-def orbit_radiation(orbit: Orbit, environment: Environment, samples: int = SAMPLES) -> OrbitRadiation:
-    """Mean radiation along an orbit.
+def orbit_radiation(orbit: Trajectory, environment: Environment, samples: int = SAMPLES) -> OrbitRadiation:
+    """Mean radiation along an orbit, by the nominal models.
 
     Raises
     ------
@@ -72,26 +73,28 @@ def orbit_radiation(orbit: Orbit, environment: Environment, samples: int = SAMPL
     protons = Spectrum(PROTON_MEV, np.zeros(len(PROTON_MEV)))
     electrons = Spectrum(ELECTRON_MEV, np.zeros(len(ELECTRON_MEV)))
     if environment.trapped != "none":
-        belts = TrappedBelts(environment.solar, environment.estimate)
+        belts = TrappedBelts(environment.solar)
         protons, electrons = belts.mean_spectra(positions, year)
-    events = solar.event_fluence(environment.solar_proton_events)
-    share = GalacticCosmicRays(environment.solar).transmission(positions, proton_rigidity_gv(events.energy_mev))
-    return OrbitRadiation(protons, electrons, solar.reaching(events, share))
+    rigidity_gv = proton_rigidity_gv(solar.EVENT_MEV)
+    return OrbitRadiation(
+        protons, electrons, GalacticCosmicRays(environment.solar).transmission(positions, rigidity_gv)
+    )
 
 
 def dose(radiation: OrbitRadiation, environment: Environment, shield_mm: float, years: float) -> Dose:
     """Dose behind a shield in a number of years; the solar events count once, whatever the years."""
     seconds = years * SECONDS_PER_YEAR
     krad = matter.RAD_PER_MEV_G * 1e-3
-    protons, electrons = radiation.protons.times(seconds), radiation.electrons.times(seconds)
+    protons = radiation.protons.times(seconds * coefficient("trapped_protons", environment.estimate))
+    electrons = radiation.electrons.times(seconds * coefficient("trapped_electrons", environment.estimate))
+    events = solar.reaching(solar.event_fluence(environment.solar_proton_events), radiation.solar_share)
     niel = coefficient("niel_scale", environment.estimate)
     return Dose(
         protons_krad=krad * shield.proton_dose_mev_g(protons, shield_mm),
         electrons_krad=krad * shield.electron_dose_mev_g(electrons, shield_mm),
-        solar_krad=krad * shield.proton_dose_mev_g(radiation.solar_events, shield_mm),
+        solar_krad=krad * shield.proton_dose_mev_g(events, shield_mm),
         displacement_mev_g=niel
         * sum(
-            shield.proton_dose_mev_g(spectrum, shield_mm, matter.proton_niel_silicon)
-            for spectrum in (protons, radiation.solar_events)
+            shield.proton_dose_mev_g(spectrum, shield_mm, matter.proton_niel_silicon) for spectrum in (protons, events)
         ),
     )

@@ -27,8 +27,9 @@ class Environment:
     """Time in orbit, whose dose has aged detector and glass; 0: as new."""
     solar_proton_events: float = 0.0
     """Number of anomalously large solar proton events within the age (King 1974); about one in a solar cycle."""
-    depletion_um: float = 3.0
-    """Depth of the depleted silicon of a pixel, in which displacement damage generates dark current."""
+    depletion_um: float = 2.0
+    """Mean depth over the pixel of the depleted silicon, in which displacement damage generates dark current: one or
+    two micrometres for a pinned photodiode, three to five for a CCD."""
     dark_per_krad_e_s: float = 0.0
     """Additional dark current of every pixel per krad of ionising dose, at `detector.dark_reference_c`; it depends on
     the detector's technology: use a measured value. 0: none."""
@@ -48,12 +49,7 @@ class Environment:
     @property
     def sources(self) -> Environment:
         """Only what the radiation outside the spacecraft depends on; the rest has its defaults."""
-        return Environment(
-            trapped=self.trapped,
-            solar=self.solar,
-            solar_proton_events=self.solar_proton_events,
-            estimate=self.estimate,
-        )
+        return Environment(trapped=self.trapped, solar=self.solar)
 
     @property
     def has_particles(self) -> bool:

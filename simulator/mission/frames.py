@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.mission.clock import Clock
+from startracker.constants import J2000_JD_TT
+from startracker.ephemeris import timescale
 
 FloatArray = NDArray[np.float64]
 
@@ -29,6 +31,67 @@ def _of_dates(jd1: float, shape: tuple[int, ...], jd2: bytes) -> FloatArray:
     matrices = np.asarray(erfa.ufunc.pnm06a(jd1, np.frombuffer(jd2).reshape(shape)))
     matrices.flags.writeable = False
     return matrices
+
+
+ECLIPTIC_OBLIQUITY_RAD = math.radians(84_381.448 / 3600.0)
+"""Obliquity of the ecliptic at J2000, IAU 1976: the ecliptic of SPICE's frame ECLIPJ2000 and of JPL's Horizons."""
+
+
+EARTH_RATE_RAD_S = 2.0 * math.pi * 1.002_737_811_911_354_48 / 86_400.0
+"""Rate of the Earth rotation angle; IERS Conventions 2010, eq. 5.15."""
+
+
+def to_frame(frame: str, clock: Clock, t_s: float | FloatArray) -> FloatArray:
+    """Matrices from ICRF (GCRS) axes into named axes, (3, 3), or (..., 3, 3) for axes of date.
+
+    Parameters
+    ----------
+    frame : str
+        ``icrf``; ``equator_of_date``: true equator and equinox; ``ecliptic``: mean ecliptic and equinox of J2000;
+        ``eme2000``: mean equator and equinox of J2000, 23 mas from ICRF (IAU 2006 frame bias); ``teme``: SGP4's.
+    clock, t_s
+        The instants.
+    """
+    of_date = {"equator_of_date": true_of_date, "teme": teme}
+    if frame in of_date:
+        return of_date[frame](clock, t_s)
+    if frame == "ecliptic":
+        return np.asarray(erfa.ufunc.rx(ECLIPTIC_OBLIQUITY_RAD, np.eye(3)))
+    if frame == "eme2000":
+        return np.asarray(erfa.ufunc.bp06(J2000_JD_TT, 0.0)[0])
+    return np.eye(3)
+
+
+def to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Vectors (..., 3) rotated to GCRS by the inverse of matrices (..., 3, 3) from GCRS."""
+    turned: FloatArray = (vectors[..., None, :] @ matrix)[..., 0, :]
+    return turned
+
+
+def states_to_gcrs(
+    frame: str, clock: Clock, t_s: FloatArray, r_km: FloatArray, v_km_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Positions and velocities (N, 3) in named axes at times (N,) rotated to ICRF (GCRS) axes.
+
+    Parameters
+    ----------
+    frame : str
+        As for `to_frame`, whose axes count as inertial at each instant, or ``itrf``: Earth-fixed, to whose velocities
+        ω × r is added. ITRS from GCRS by IAU 2006/2000A (ERFA's ``c2t06a``), UT1 from Skyfield's table, without polar
+        motion (0.6″, 19 m at the surface).
+    clock, t_s
+        The instants.
+    r_km, v_km_s : array, shape (N, 3)
+        States.
+    """
+    if frame != "itrf":
+        matrix = to_frame(frame, clock, t_s)
+        return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s)
+    time = timescale().tt_jd(*clock.tt_jd(t_s))
+    tt1, tt2 = clock.tt_jd(t_s)
+    matrix = np.asarray(erfa.ufunc.c2t06a(tt1, tt2, time.whole, time.ut1_fraction, 0.0, 0.0))
+    turning = np.cross([0.0, 0.0, EARTH_RATE_RAD_S], r_km)
+    return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s + turning)
 
 
 def equation_of_equinoxes(clock: Clock, t_s: float | FloatArray, matrix: FloatArray) -> FloatArray:
@@ -79,8 +142,10 @@ def local_time_of_raan(clock: Clock, raan_rad: float, t_s: float = 0.0) -> float
     return (raan_rad - raan_of_local_time(clock, 0.0, t_s)) % (2.0 * math.pi) * 12.0 / math.pi % 24.0
 
 
-def argument_of_latitude_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatArray, v_km_s: FloatArray) -> FloatArray:
-    """Angle along the orbit from its ascending node on the true equator of date, degrees in [0, 360).
+def argument_of_latitude_deg(
+    clock: Clock, t_s: float | FloatArray, r_km: FloatArray, v_km_s: FloatArray, frame: str = "equator_of_date"
+) -> FloatArray:
+    """Angle along the orbit from its ascending node on the reference plane of a frame, degrees in [0, 360).
 
     With h = r × v and n = z × h towards the node, u = atan2((h × n)·r / |h|, n·r) (Vallado 2013, section 2.5). For an
     equatorial orbit the angle is measured from the equinox.
@@ -91,8 +156,10 @@ def argument_of_latitude_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatA
         The instants, a number or an array (N,).
     r_km, v_km_s : array, shape (3,) or (N, 3)
         States in GCRS.
+    frame : str
+        As for `to_frame`.
     """
-    of_date = true_of_date(clock, t_s)
+    of_date = to_frame(frame, clock, t_s)
     r, v = ((of_date @ vector[..., None])[..., 0] for vector in (r_km, v_km_s))
     momentum = np.cross(r, v)
     node = np.stack([-momentum[..., 1], momentum[..., 0], np.zeros(momentum.shape[:-1])], axis=-1)

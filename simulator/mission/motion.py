@@ -20,10 +20,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.mission.orbit import Orbit
 from simulator.mission.parameters import PointingParameters, SequenceMotion, Slew, Spin
 from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
+from simulator.mission.trajectory import Trajectory
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 
@@ -122,7 +122,7 @@ def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
 
 
 def motion(
-    pointing: PointingParameters, sequence: SequenceMotion, orbit: Orbit, start: Pointing, frames: int
+    pointing: PointingParameters, sequence: SequenceMotion, orbit: Trajectory, start: Pointing, frames: int
 ) -> list[MotionState]:
     """True states at the first `frames` frames of a sequence.
 
@@ -131,8 +131,8 @@ def motion(
     pointing, sequence : sections
         As in the scenario. The reference is, with ``pointing.target``, the inertially fixed initial attitude; with
         ``pointing.spin``, the spinning principal axes; otherwise the local level.
-    orbit : Orbit
-        The orbit.
+    orbit : Trajectory
+        The trajectory; the local level refers to its centre.
     start : Pointing
         Attitude at the first frame, without jitter.
     frames : int
@@ -170,14 +170,15 @@ def _spinning(spin: Spin) -> tuple[Callable[[float], Attitude], Callable[[float]
     return lambda t_s: spin_attitude(spin, t_s), lambda t_s: spin_rate_rad_s(spin, t_s)
 
 
-def _level(orbit: Orbit) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
+def _level(orbit: Trajectory) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:
     """The local level, and its inertial rate in its own axes: (0, −n, 0) and the precession of the orbit's plane."""
 
     def level(t_s: float) -> Attitude:
         return local_level(*orbit.state(t_s))
 
     def rate(t_s: float) -> FloatArray:
-        before, after = level(t_s - _LEVEL_STEP_S), level(t_s + _LEVEL_STEP_S)
-        return before.rotation_vector_to(after) / (2.0 * _LEVEL_STEP_S)
+        first, last = orbit.span_s
+        low, high = max(t_s - _LEVEL_STEP_S, first), min(t_s + _LEVEL_STEP_S, last)
+        return level(low).rotation_vector_to(level(high)) / (high - low)
 
     return level, rate

@@ -1,4 +1,4 @@
-"""The spacecraft's orbit: circular, from the scenario's section, by an analytic J2 model or by SGP4.
+"""Circular orbits around the Earth, by an analytic J2 model or by SGP4.
 
 Elements refer to the true equator and equinox of date, because the Earth's oblateness makes the orbit precess about the
 true pole; states are converted to GCRS by precession and nutation (`simulator.mission.frames`).
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
-from simulator.mission.frames import equation_of_equinoxes, raan_of_local_time, teme, true_of_date
+from simulator.mission.frames import equation_of_equinoxes, raan_of_local_time, teme, to_gcrs, true_of_date
 from simulator.mission.parameters import OrbitParameters
 from simulator.mission.secular import (
     CircularElements,
@@ -27,6 +27,7 @@ from simulator.mission.secular import (
     nodal_rate,
     sun_synchronous_inclination,
 )
+from simulator.mission.trajectory import UNLIMITED, Trajectory
 from startracker.errors import InputError
 from startracker.registry import lookup
 
@@ -47,18 +48,8 @@ which `allow_unphysical` lifts."""
 
 
 @runtime_checkable
-class Orbit(Protocol):
-    """Result of a propagator; immutable and picklable."""
-
-    @property
-    def clock(self) -> Clock:
-        """Clock with the epoch of `t_s`."""
-        ...
-
-    @property
-    def period_s(self) -> float:
-        """Mean nodal period: from one ascending node to the next."""
-        ...
+class Orbit(Trajectory, Protocol):
+    """Circular orbit around the Earth, the result of a propagator; `period_s` is the mean nodal period."""
 
     @property
     def inclination_rad(self) -> float:
@@ -72,10 +63,6 @@ class Orbit(Protocol):
 
     def raan_rad(self, t_s: ArrayLike) -> Any:
         """Mean right ascension of the ascending node in [0, 2π), true equator and equinox of date, shape of `t_s`."""
-        ...
-
-    def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds since the epoch, shape (...)."""
         ...
 
 
@@ -97,6 +84,8 @@ class J2Orbit:
     """Mean elements at the epoch."""
     clock: Clock
     """Epoch."""
+
+    centre, span_s = "Earth", UNLIMITED
 
     @functools.cached_property
     def _latitude_rate(self) -> float:
@@ -132,8 +121,8 @@ class J2Orbit:
         radius = self.elements.semi_major_axis_km
         speed = radius * (self._latitude_rate + self.nodal_rate_rad_s * cos_i)
         matrix = true_of_date(self.clock, t)
-        r_km = _to_gcrs(matrix, radius * (np.cos(u) * to_node + np.sin(u) * ahead))
-        return r_km, _to_gcrs(matrix, speed * (np.cos(u) * ahead - np.sin(u) * to_node))
+        r_km = to_gcrs(matrix, radius * (np.cos(u) * to_node + np.sin(u) * ahead))
+        return r_km, to_gcrs(matrix, speed * (np.cos(u) * ahead - np.sin(u) * to_node))
 
 
 @dataclass(frozen=True)
@@ -150,6 +139,8 @@ class Sgp4Orbit:
     conversion is inverted, so that the semi-major axis is Brouwer's in both propagators."""
     clock: Clock
     """Epoch."""
+
+    centre, span_s = "Earth", UNLIMITED
 
     @property
     def period_s(self) -> float:
@@ -191,21 +182,22 @@ class Sgp4Orbit:
                 "change orbit.altitude_km or set orbit.propagator: j2"
             )
         matrix = teme(self.clock, t)
-        return _to_gcrs(matrix, position.reshape(*t.shape, 3)), _to_gcrs(matrix, velocity.reshape(*t.shape, 3))
+        return to_gcrs(matrix, position.reshape(*t.shape, 3)), to_gcrs(matrix, velocity.reshape(*t.shape, 3))
 
 
 PROPAGATORS: dict[str, Callable[[CircularElements, Clock], Orbit]] = {"j2": J2Orbit, "sgp4": Sgp4Orbit}
-"""Propagators by name; each creates an `Orbit` from mean elements and a clock."""
+"""Propagators of circular orbits by name; each creates an `Orbit` from mean elements and a clock."""
 
 
 def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
-    """Orbit of a scenario's section.
+    """Circular orbit of a scenario's section.
 
     Parameters
     ----------
     section : OrbitParameters
         Altitude above the equatorial radius, inclination or ``auto`` (sun-synchronous), node by right ascension or by
-        local mean solar time (22.5 h if neither is given), argument of latitude, propagator.
+        local mean solar time (22.5 h if neither is given), argument of latitude, propagator; with ``numerical`` this is
+        the orbit from whose state at the epoch the integration starts.
     epoch : datetime
         With a time zone.
 
@@ -235,19 +227,14 @@ def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
         raan_rad=raan_rad,
         argument_of_latitude_rad=math.radians(section.argument_of_latitude_deg % 360.0),
     )
-    return lookup("propagators", PROPAGATORS, section.propagator)(elements, clock)
+    name = "j2" if section.propagator in ("auto", "numerical") else section.propagator
+    return lookup("propagators", PROPAGATORS, name)(elements, clock)
 
 
 def _wrapped(angle: FloatArray) -> Any:
     """Angle in [0, 2π); a float for a scalar."""
     wrapped = np.mod(angle, 2.0 * np.pi)
     return float(wrapped) if np.ndim(wrapped) == 0 else wrapped
-
-
-def _to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Vectors (..., 3) rotated to GCRS by the inverse of matrices (..., 3, 3) from GCRS."""
-    turned: FloatArray = (vectors[..., None, :] @ matrix)[..., 0, :]
-    return turned
 
 
 def _kozai_mean_motion(elements: CircularElements) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from simulator.optics.jitter import NO_JITTER, Jitter
@@ -12,23 +13,117 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class KeplerianElements:
+    """Keplerian elements at the epoch; given by `semi_major_axis_km`."""
+
+    semi_major_axis_km: float | None = None
+    """Semi-major axis; none: no orbit by elements."""
+    eccentricity: float = 0.0
+    """Eccentricity of the ellipse."""
+    inclination_deg: float = 0.0
+    """Inclination to the reference plane."""
+    raan_deg: float = 0.0
+    """Right ascension of the ascending node; with the ecliptic its longitude."""
+    argument_of_periapsis_deg: float = 0.0
+    """Angle from the ascending node to the periapsis."""
+    mean_anomaly_deg: float = 0.0
+    """Mean anomaly at the epoch: 0 at the periapsis."""
+
+
+@dataclass(frozen=True)
+class StateVector:
+    """Position and velocity at the epoch; given by both."""
+
+    position_km: Vector | None = None
+    """Position relative to the centre; none: no orbit by a state vector."""
+    velocity_km_s: Vector | None = None
+    """Velocity relative to the centre."""
+
+
+@dataclass(frozen=True)
+class ForceModel:
+    """Forces of the numerical propagator."""
+
+    zonal_degree: int = 6
+    """Highest zonal harmonic of the Earth, J2 to J6; below 2: none."""
+    third_bodies: bool = True
+    """Attraction by Sun and Moon, and, far from the Earth, by the Earth and the planets."""
+
+
+@dataclass(frozen=True)
 class OrbitParameters:
-    """Circular orbit. The node is given by either `raan_deg` or `ltan_h`."""
+    """The orbit: circular around the Earth, or one of `elements`, `state`, `tle`, `omm`, `oem`, `spk` and `csv`, beside
+    which the keys of the circular orbit are not used. The node of a circular orbit is given by either `raan_deg` or
+    `ltan_h`."""
 
     altitude_km: float = 800.0
-    """Height above the equatorial radius."""
+    """Circular orbit: height above the equatorial radius."""
     inclination_deg: float | Literal["auto"] = "auto"
-    """Inclination; ``auto`` is sun-synchronous by J2."""
+    """Circular orbit: inclination; ``auto`` is sun-synchronous by J2."""
     ltan_h: float | None = None
-    """Local mean solar time of the ascending node, hours; 22.5 if neither node key is given."""
+    """Circular orbit: local mean solar time of the ascending node, hours; 22.5 if neither node key is given."""
     raan_deg: float | None = None
-    """Right ascension of the ascending node at the epoch, true equator of date."""
+    """Circular orbit: right ascension of the ascending node at the epoch, true equator of date."""
     argument_of_latitude_deg: float = 0.0
-    """Angle from the ascending node at the epoch."""
-    propagator: str = "j2"
-    """``j2``: analytic circular orbit with secular J2; ``sgp4``: the same mean elements through SGP4."""
+    """Circular orbit: angle from the ascending node at the epoch."""
+    elements: KeplerianElements = KeplerianElements()
+    """Elliptical orbit by its elements at the epoch."""
+    state: StateVector = StateVector()
+    """Orbit by its position and velocity at the epoch."""
+    tle: str | None = None
+    """File of two-line elements, through SGP4."""
+    omm: str | None = None
+    """File of mean elements, CCSDS OMM in KVN or XML, through SGP4."""
+    oem: str | None = None
+    """File of an ephemeris, CCSDS OEM in KVN or XML, with its own interpolation."""
+    spk: str | None = None
+    """SPICE kernel of types 2, 3, 8, 9, 12 or 13."""
+    csv: str | None = None
+    """Table of states with the columns ``utc`` (or ``t_s`` after the epoch), ``x_km``, ``y_km``, ``z_km``, ``vx_km_s``,
+    ``vy_km_s``, ``vz_km_s``."""
+    object: str | int | None = None
+    """Name or number of the spacecraft in a file with several; in an SPK kernel its NAIF number."""
+    centre: Literal["Earth", "Moon", "Sun"] = "Earth"
+    """Centre of the elements, the state, the SPK kernel or the table, and of the local level."""
+    frame: Literal["auto", "icrf", "equator_of_date", "ecliptic"] = "auto"
+    """Axes of the elements, the state or the table: ICRF, true equator and equinox of date, or mean ecliptic and
+    equinox of J2000. ``auto``: for elements around the Earth the equator of date, around the Sun the ecliptic,
+    otherwise ICRF."""
+    propagator: str = "auto"
+    """``j2``: secular rates by J2; ``sgp4``: circular elements through SGP4; ``kepler``: two bodies; ``numerical``:
+    integration of `forces`. ``auto``: ``j2`` for elements around the Earth, ``kepler`` around Moon and Sun,
+    ``numerical`` for a state."""
+    forces: ForceModel = ForceModel()
+    """Forces of the numerical propagator."""
+    max_age_days: float = 30.0
+    """Longest time between the epoch of two-line or mean elements and an instant; the error of SGP4 grows by some km a
+    day."""
 
     __repr__ = changed_fields
+
+    @property
+    def source(self) -> str:
+        """The key that defines the orbit: ``circular``, ``elements``, ``state`` or that of a file."""
+        return next(iter(self.sources), "circular")
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """All keys that define an orbit; more than one contradict each other."""
+        given = {"elements": self.elements.semi_major_axis_km, "state": self.state.position_km}
+        return tuple(k for k in SOURCES if given.get(k, getattr(self, k)) is not None)
+
+    @property
+    def described(self) -> str:
+        """A few words: ``800 km orbit``, ``orbit of cbers2.tle``."""
+        source = self.source
+        if source == "circular":
+            return f"{self.altitude_km:g} km orbit"
+        return f"orbit of {Path(getattr(self, source)).name}" if source in FILES else f"{self.centre} orbit by {source}"
+
+
+FILES = ("tle", "omm", "oem", "spk", "csv")
+"""Keys of `OrbitParameters` that name a file."""
+SOURCES = ("elements", "state", *FILES)
 
 
 @dataclass(frozen=True)

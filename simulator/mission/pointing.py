@@ -1,6 +1,7 @@
 """Attitude and rate of the camera: local level → body (offset, random error) → camera (mounting).
 
-Local level (also the nominal body): +X along the velocity, +Y = minus the orbit normal, +Z to the Earth's centre.
+Local level (also the nominal body): +X along the velocity, +Y = minus the orbit normal, +Z to the centre of the
+trajectory, which is the Earth's for an orbit around it.
 Angles about X, Y, Z are roll, pitch, yaw, the components of one rotation vector.
 """
 
@@ -14,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.frames import true_of_date
-from simulator.mission.orbit import Orbit
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
+from simulator.mission.trajectory import Trajectory
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.display import fields_repr
 from startracker.errors import InputError
@@ -90,7 +91,7 @@ def mounting_of(parameters: PointingParameters) -> Attitude:
 
 
 def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:
-    """Attitude ICRS → local level from position and velocity (3,) in GCRS axes.
+    """Attitude ICRS → local level from position and velocity (3,) relative to the centre, in GCRS axes.
 
     Z = −r/|r|, Y = −(r × v)/|r × v|, X = Y × Z: the velocity component perpendicular to Z (Wertz 1978, *Spacecraft
     Attitude Determination and Control*, section 2.2).
@@ -219,7 +220,7 @@ class BoresightPath:
     """True equator and equinox of date, to which the orbit's node and inclination refer."""
 
 
-def boresight_path(orbit: Orbit, parameters: PointingParameters, t_s: ArrayLike) -> BoresightPath:
+def boresight_path(orbit: Trajectory, parameters: PointingParameters, t_s: ArrayLike) -> BoresightPath:
     """Geometric path over the sky without the random error, at seconds since the epoch, an array of any shape."""
     t = np.asarray(t_s, dtype=float)
     in_level = (mounting_of(parameters) @ _offset(parameters)).boresight

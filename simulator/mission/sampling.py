@@ -6,11 +6,13 @@ The times do not depend on the number of trials or workers, so that any trial ca
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.randomness import stream
+from startracker.errors import InputError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -21,17 +23,35 @@ TROPICAL_YEAR_S = 365.2422 * 86_400.0
 _GOLDEN = 0.618_033_988_749_894_9
 
 
-def trial_time_s(sampling: str, seed: int, index: IntArray, period_s: float) -> FloatArray:
+def trial_time_s(
+    sampling: str, seed: int, index: IntArray, period_s: float, span_s: tuple[float, float] = (0.0, math.inf)
+) -> FloatArray:
     """Seconds after the epoch of the trials `index`, of the shape of `index`.
 
-    ``mission_year`` and ``orbit`` distribute the trials over a year or over one period `period_s` by the golden-ratio
-    sequence with a random start: the first n trials are evenly distributed for any n (a sequence of lowest discrepancy
-    in one dimension, Niederreiter 1992, chapter 3). For ``sky`` all times are the epoch.
+    ``mission_year``, ``orbit`` and ``span`` distribute the trials over a year, over one period `period_s`, or over the
+    part of the trajectory's span `span_s` after the epoch, by the golden-ratio sequence with a random start: the first
+    n trials are evenly distributed for any n (a sequence of lowest discrepancy in one dimension, Niederreiter 1992,
+    chapter 3). For ``sky`` all times are the epoch.
+
+    Raises
+    ------
+    InputError
+        For ``orbit`` with a trajectory that is not closed, or ``span`` with one that has no end, or ends before the
+        epoch.
     """
     if sampling == "sky":
         return np.zeros(np.shape(index))
-    span = TROPICAL_YEAR_S if sampling == "mission_year" else period_s
-    return np.asarray(((_start(seed) + np.asarray(index) * _GOLDEN) % 1.0) * span)
+    start_s = max(span_s[0], 0.0) if sampling == "span" else 0.0
+    length_s = {"mission_year": TROPICAL_YEAR_S, "orbit": period_s, "span": span_s[1] - start_s}[sampling]
+    if not 0.0 < length_s < math.inf:
+        reason = {
+            "orbit": "the trajectory is not a closed orbit; use mission_year or span",
+            "span": "the trajectory ends before the epoch; change the epoch"
+            if length_s <= 0.0
+            else "the trajectory has no end; use mission_year or orbit",
+        }
+        raise InputError(f"study.sampling: {sampling}: {reason[sampling]}")
+    return np.asarray(start_s + ((_start(seed) + np.asarray(index) * _GOLDEN) % 1.0) * length_s)
 
 
 @functools.lru_cache(maxsize=64)

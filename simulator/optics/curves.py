@@ -136,9 +136,7 @@ def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None =
             raise InputError(f"{path}: is not text; give a CSV file of the {what}") from error
     close = difflib.get_close_matches(spec, names, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
-    raise InputError(
-        f"'{spec}' is no {what} that ships with boresight ({', '.join(names)}), no number and no CSV file{hint}"
-    )
+    raise InputError(f"'{spec}' is not an included {what} ({', '.join(names)}), a number or a CSV file{hint}")
 
 
 def _parse(text: str, where: str) -> Curve:
@@ -167,7 +165,9 @@ def _parse(text: str, where: str) -> Curve:
         if not 0.0 <= value <= 1.0:
             raise InputError(f"{where}:{number}: a value must lie between 0 and 1; found {cells[1]}")
         if points and wavelength_nm <= points[-1][0]:
-            raise InputError(f"{where}:{number}: wavelengths must rise; {cells[0]} nm follows {points[-1][0]:g} nm")
+            raise InputError(
+                f"{where}:{number}: wavelengths must be ascending; {cells[0]} nm follows {points[-1][0]:g} nm"
+            )
         points.append((wavelength_nm, value))
     if len(points) < 2:
         raise InputError(f"{where}: needs a header 'wavelength_nm,value' and two or more lines; found {len(points)}")

@@ -124,7 +124,7 @@ def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
     area = float(np.trapezoid(density, f))
     if not (np.isfinite(area) and area > 0.0 and (np.diff(f) > 0.0).all() and f[0] >= 0.0 and (density >= 0.0).all()):
         raise InputError(
-            f"pointing.jitter.table: {path}: frequencies must rise from 0 Hz or more, densities be 0 or more, not all 0"
+            f"pointing.jitter.table: {path}: frequencies must be ascending from 0 Hz, densities 0 or more, not all 0"
         )
     fine = np.unique(np.concatenate([f, np.linspace(f[0], f[-1], _TABLE_STEPS)]))
     values = np.interp(fine, f, density / area)

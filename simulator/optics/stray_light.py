@@ -174,7 +174,9 @@ def _read(path: Path) -> list[tuple[float, float]]:
         except ValueError:
             raise InputError(f"{path}:{number}: '{line.strip()}' is not an angle and a transmittance") from None
         if not 0.0 <= angle <= 180.0 or (points and angle <= points[-1][0]) or (not points and angle != 0.0):
-            raise InputError(f"{path}:{number}: angles must rise from 0 to at most 180 degrees; found {cells[0]}")
+            raise InputError(
+                f"{path}:{number}: angles must be ascending from 0 to at most 180 degrees; found {cells[0]}"
+            )
         if not 0.0 < value <= 1.0:
             raise InputError(f"{path}:{number}: a transmittance lies above 0 and up to 1; found {cells[1]}")
         points.append((angle, value))

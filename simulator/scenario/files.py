@@ -9,12 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from simulator.mission.parameters import FILES
 from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, read_text, show_value
 from simulator.scenario.errors import Location, Problem
 from simulator.scenario.overrides import merge
 
-FILE_KEYS = ("optics.transmission", "detector.quantum_efficiency", "optics.baffle.pst", "pointing.jitter.table")
-"""Keys that may name a CSV file, relative to the scenario file, or for ``--set`` to the working folder."""
+ALWAYS_FILES = tuple(f"orbit.{key}" for key in FILES)
+"""Keys that name a file, relative to the scenario file, or for ``--set`` to the working folder."""
+FILE_KEYS = (
+    "optics.transmission",
+    "detector.quantum_efficiency",
+    "optics.baffle.pst",
+    "pointing.jitter.table",
+    *ALWAYS_FILES,
+)
+"""These, and keys that may name a CSV file."""
 
 
 def find_scenario(path: str | Path) -> Path:
@@ -97,7 +106,7 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
 
 
 def absolute_files(tree: Table, folder: str) -> Table:
-    """Names of CSV files as absolute paths, so that they remain valid in another folder."""
+    """Names of files as absolute paths, so that they remain valid in another folder."""
     for path in FILE_KEYS:
         tables, keys = [tree], path.split(".")
         for key in keys[:-1]:
@@ -105,7 +114,7 @@ def absolute_files(tree: Table, folder: str) -> Table:
             if inner and isinstance(inner.node, Table):
                 tables.append(inner.node)
         entry = tables[-1].entries.get(keys[-1]) if len(tables) == len(keys) else None
-        if entry and isinstance(entry.node, Value) and _is_file_name(entry.node.data):
+        if entry and isinstance(entry.node, Value) and _is_file_name(entry.node.data, path in ALWAYS_FILES):
             file = os.path.abspath(os.path.join(folder, entry.node.data))
             layer = Table(tables[-1].location, {keys[-1]: Entry(entry.location, Value(file, entry.node.location))})
             for table, key in zip(tables[-2::-1], keys[-2::-1], strict=True):
@@ -114,5 +123,6 @@ def absolute_files(tree: Table, folder: str) -> Table:
     return tree
 
 
-def _is_file_name(value: Any) -> bool:
-    return isinstance(value, str) and (value.lower().endswith(".csv") or "/" in value or os.sep in value)
+def _is_file_name(value: Any, always: bool) -> bool:
+    named = always or (isinstance(value, str) and (value.lower().endswith(".csv") or "/" in value or os.sep in value))
+    return isinstance(value, str) and named

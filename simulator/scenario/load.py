@@ -89,7 +89,7 @@ class Scenario(ScenarioModel):
             lens,
             f"{detector.width}×{detector.height} px",
             f"exposure {detector.exposure_s:g} s",
-            f"{self.orbit.altitude_km:g} km orbit",
+            self.orbit.described,
             f"{self.study.trials} trials",
             f"seed {self.seed}",
         )

@@ -13,7 +13,7 @@ from datetime import timedelta
 from typing import Any
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
-from simulator.scenario import detector_rules, sequence_rules
+from simulator.scenario import detector_rules, orbit_rules, sequence_rules
 from simulator.scenario.errors import Violation, impossible, unphysical
 from simulator.scenario.sequence_rules import EPHEMERIS
 
@@ -63,7 +63,7 @@ def violations(values: Values) -> list[Violation]:
 
 
 def _node(v: Values) -> Iterator[Violation]:
-    if v["orbit.raan_deg"] is not None and v["orbit.ltan_h"] is not None:
+    if not orbit_rules.sources(v) and v["orbit.raan_deg"] is not None and v["orbit.ltan_h"] is not None:
         message = "the node is already defined by orbit.ltan_h; set one of them to null"
         yield impossible("orbit.raan_deg", message)
 
@@ -78,6 +78,8 @@ def sun_synchronous_limit_km() -> float:
 
 
 def _altitude(v: Values) -> Iterator[Violation]:
+    if orbit_rules.sources(v):
+        return
     altitude_km = v["orbit.altitude_km"]
     if altitude_km <= -EARTH_RADIUS_KM:
         yield impossible("orbit.altitude_km", f"{altitude_km:g} km is below the Earth's centre; use 150 km or more")
@@ -94,6 +96,8 @@ def _altitude(v: Values) -> Iterator[Violation]:
 
 def _sun_synchronous(v: Values) -> Iterator[Violation]:
     limit_km = sun_synchronous_limit_km()
+    if orbit_rules.sources(v):
+        return
     if v["orbit.inclination_deg"] == "auto" and v["orbit.altitude_km"] > limit_km:
         message = (
             f"no orbit at {v['orbit.altitude_km']:g} km is sun-synchronous, only up to {limit_km:.0f} km; "
@@ -254,7 +258,7 @@ def _dark_signal(v: Values) -> Iterator[Violation]:
 
 def _exposure(v: Values) -> Iterator[Violation]:
     a_km = EARTH_RADIUS_KM + v["orbit.altitude_km"]
-    if 0 < a_km < 1e100:  # the cube of larger values overflows
+    if 0 < a_km < 1e100 and not orbit_rules.sources(v):  # the cube of larger values overflows
         period_s = 2.0 * math.pi * math.sqrt(a_km**3 / EARTH_GM_KM3_S2)
         if v["detector.exposure_s"] > period_s:
             message = (
@@ -305,6 +309,7 @@ def _window(v: Values) -> Iterator[Violation]:
 
 RULES: tuple[Rule, ...] = (
     _node,
+    orbit_rules.contradictions,
     _altitude,
     _sun_synchronous,
     _epoch,

@@ -13,7 +13,16 @@ from pydantic import AfterValidator, Field, FiniteFloat
 
 from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intensifier, RandomTelegraph, TimeTag, Video
 from simulator.environment.parameters import Environment
-from simulator.mission.parameters import Gyro, OrbitParameters, PointingParameters, RatePoint, Slew, Spin
+from simulator.mission.parameters import (
+    ForceModel,
+    Gyro,
+    KeplerianElements,
+    OrbitParameters,
+    PointingParameters,
+    RatePoint,
+    Slew,
+    Spin,
+)
 from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
 from simulator.optics.illumination import Vignetting
@@ -70,9 +79,9 @@ class StudySection(Section):
 
     trials: Count = 500
     """Number of frames."""
-    sampling: Literal["mission_year", "orbit", "sky"] = "mission_year"
+    sampling: Literal["mission_year", "orbit", "span", "sky"] = "mission_year"
     """``mission_year``: times distributed over a year; ``orbit``: over one orbit, or one rotation of a spinning body;
-    ``sky``: random attitudes at the epoch."""
+    ``span``: from the epoch to the end of an ephemeris; ``sky``: random attitudes at the epoch."""
     sky_without_earth: bool = True
     """With `sampling: sky` and no `pointing.target`: omit the Earth, which would occult a third of the sky; it then
     neither occults stars nor emits light. False: as set by `sky.earth`."""
@@ -116,10 +125,17 @@ class ScenarioModel(Section):
 
 
 LIMITS: dict[type, dict[str, Any]] = {
+    KeplerianElements: {
+        "semi_major_axis_km": Positive | None,
+        "eccentricity": Annotated[float, Field(ge=0, lt=1)],
+        "inclination_deg": Annotated[float, Field(ge=0, le=180)],
+    },
+    ForceModel: {"zonal_degree": Annotated[int, Field(ge=0, le=6)]},
     OrbitParameters: {
         "inclination_deg": Annotated[float, Field(ge=0, le=180)] | Literal["auto"],
         "ltan_h": Annotated[float, Field(ge=0, lt=24)] | None,
-        "propagator": Literal["j2", "sgp4"],
+        "propagator": Literal["auto", "j2", "sgp4", "kepler", "numerical"],
+        "max_age_days": Positive,
     },
     Spin: {
         "axis_deg": tuple[float, Annotated[float, Field(ge=-90, le=90)]],

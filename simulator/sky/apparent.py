@@ -20,14 +20,14 @@ from startracker.observer import Observer
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
 
-__all__ = ["SkyIndex", "apparent_directions", "by_declination"]
+__all__ = ["SkyIndex", "apparent_directions", "by_declination", "largest_shift_rad"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _AU_LIGHT_TIME_JYEAR = AU_KM / SPEED_OF_LIGHT_KM_S / (86_400.0 * DAYS_PER_JULIAN_YEAR)
 _SHIFT_RAD = 30.0 * ARCSEC_RAD
-"""Upper limit of aberration (26″ in a low orbit), deflection (1.75″) and parallax (0.8″) together."""
+"""Upper limit of aberration (26″ in a low orbit), deflection (1.75″) and parallax (0.8″) together near the Earth."""
 _ROUNDING_RAD = 1e-12
 
 
@@ -84,6 +84,18 @@ def _apparent(
     return p
 
 
+def largest_shift_rad(observer: Observer) -> float:
+    """Upper limit of aberration, light deflection and parallax of any star outside the Sun's disk; at least 30″.
+
+    β with a margin of 1 % for the terms of second order; 0.77″ parallax per au (the nearest star), and a deflection of
+    1.75″ at the Sun's limb.
+    """
+    velocity, position = observer.velocity_km_s, observer.position_au
+    beta = 0.0 if velocity is None else math.hypot(*velocity.tolist()) / SPEED_OF_LIGHT_KM_S
+    far = 0.0 if position is None else math.hypot(*position.tolist())
+    return max(_SHIFT_RAD, 1.01 * beta + (0.78 * far + 1.76) * ARCSEC_RAD)
+
+
 def by_declination(catalog: StarCatalog) -> StarCatalog:
     """The same stars from south to north; returned unchanged if already sorted."""
     rising = bool((np.diff(catalog.dec_rad) >= 0.0).all())
@@ -110,11 +122,13 @@ class SkyIndex:
         across = self._motion - self._u * np.einsum("ij,ij->i", self._u, self._motion)[:, None]
         self._fastest_rad_yr = float(np.sqrt((across**2).sum(axis=1).max(initial=0.0)))
 
-    def near(self, direction: ArrayLike, radius_rad: float, epoch_jyear: float) -> IntArray:
+    def near(
+        self, direction: ArrayLike, radius_rad: float, epoch_jyear: float, shift_rad: float = _SHIFT_RAD
+    ) -> IntArray:
         """Rows of the catalogue that may appear within `radius_rad` of an apparent direction, in ascending order.
 
         None is missed, but some may be slightly outside: the radius is increased by the largest space motion since the
-        catalogue's epoch, and by 30″ for aberration and parallax.
+        catalogue's epoch, and by `shift_rad`.
 
         Parameters
         ----------
@@ -124,10 +138,12 @@ class SkyIndex:
             Half of the field's diagonal, radians.
         epoch_jyear : float
             Julian epoch of the view.
+        shift_rad : float
+            Upper limit of aberration, deflection and parallax (`largest_shift_rad`); by default 30″.
         """
         years = abs(epoch_jyear - self.catalog.epoch_jyear)
         # 1.1: perspective acceleration of an approaching star, less than 10 % in a millennium
-        reach = radius_rad + _SHIFT_RAD + 1.1 * years * self._fastest_rad_yr
+        reach = radius_rad + shift_rad + 1.1 * years * self._fastest_rad_yr
         chord = 2.0 * math.sin(min(reach, math.pi) / 2.0)  # because cos of a small angle loses precision
         centre = np.asarray(direction, dtype=float)
         dec_rad = math.atan2(centre[2], math.hypot(centre[0], centre[1]))

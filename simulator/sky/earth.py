@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
 from simulator.sky.magnitudes import sun_v
+from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.kernels import kernel
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
-    from simulator.sky.solar_system import Bodies
 
 __all__ = [
     "ATMOSPHERE_TOP_KM",
@@ -30,6 +30,7 @@ __all__ = [
     "earth_in_field",
     "earth_radiance_map",
     "earth_s10",
+    "has_disk",
     "limbs",
     "occulted",
     "stray_sources",
@@ -55,6 +56,12 @@ ATMOSPHERE_TOP_KM = 180.0
 
 _AIR_MASSES = math.sqrt(2.0 * math.pi * EARTH_RADIUS_KM / SCALE_HEIGHT_KM)
 """Ratio of the optical depth of a grazing ray to the vertical one: Chapman's √(2πR/H) = 75.1."""
+
+
+def has_disk(sky: Sky, r_km: ArrayLike) -> bool:
+    """Whether the Earth is rendered with surface and limb: not if `Sky.earth` is off, nor where it is one of the bodies
+    (`simulator.sky.solar_system.EARTH_DISK_KM`)."""
+    return sky.earth and math.hypot(*np.asarray(r_km, dtype=float).tolist()) < EARTH_DISK_KM
 
 
 def angular_radius_rad(r_km: ArrayLike) -> float:
@@ -113,7 +120,7 @@ def unhidden(bodies: Bodies, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
 
     The brightness over the disk follows its phase and scattering law (`simulator.optics.bodies`).
     """
-    if not sky.earth or not len(bodies):
+    if not has_disk(sky, r_km) or not len(bodies):
         return np.ones(len(bodies))
     offset, curvature = limbs(bodies.direction, bodies.angular_radius_rad, r_km)
     share = (offset > 0.0).astype(float)
@@ -201,7 +208,7 @@ def earth_radiance_map(
     hidden : (height, width) bool
         Whether the solid Earth occults the sky.
     """
-    if not sky.earth or not earth_in_field(camera, attitude, r_km):
+    if not has_disk(sky, r_km) or not earth_in_field(camera, attitude, r_km):
         return None
     shape = (camera.height, camera.width)
     x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))

@@ -29,7 +29,6 @@ IntArray = NDArray[np.int64]
 _BAND_DEG = 4.0
 _CELL_REACH_RAD = math.radians(4.5)
 """Upper limit of the distance of a star from the centre of its cell: cells at the poles are thirds of a cap of 4°."""
-_ABERRATION_RAD = 30.0 * ARCSEC_RAD
 _CELLS_KEPT = 256
 
 
@@ -62,14 +61,15 @@ class FaintSky:
         self._mean_count = density * _square_degrees(self._edges)
         self.cell = functools.lru_cache(maxsize=_CELLS_KEPT)(self._drawn)
 
-    def near(self, direction: ArrayLike, radius_rad: float) -> StarField:
-        """Stars within a radius of an apparent direction (3,), and some that aberration may bring there."""
+    def near(self, direction: ArrayLike, radius_rad: float, shift_rad: float = 30.0 * ARCSEC_RAD) -> StarField:
+        """Stars within a radius of an apparent direction (3,), and some that aberration, up to `shift_rad`, may bring
+        there."""
         centre = np.asarray(direction, dtype=float)
         cosine = self._centres @ centre
         cells = np.flatnonzero(cosine >= math.cos(min(radius_rad + _CELL_REACH_RAD, math.pi)))
         fields = [self.cell(int(number)) for number in cells]
         found, v_mag = (np.concatenate(column) for column in zip(*fields, strict=True))
-        rows = np.flatnonzero(found @ centre >= math.cos(min(radius_rad + _ABERRATION_RAD, math.pi)))
+        rows = np.flatnonzero(found @ centre >= math.cos(min(radius_rad + shift_rad, math.pi)))
         return StarField(found[rows], v_mag[rows])
 
     def _drawn(self, number: int) -> StarField:

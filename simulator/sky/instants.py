@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.mission.frames import argument_of_latitude_deg, ground_track_deg
-from simulator.mission.orbit import Orbit
+from simulator.mission.trajectory import Trajectory, from_earth
 from simulator.sky.observer import barycentric_state, is_sunlit
-from simulator.sky.solar_system import Bodies, bodies_seen_from, sun_position_au
+from simulator.sky.solar_system import RADIUS_KM, Bodies, bodies_seen_from, is_far, sun_position_au
+from startracker.constants import AU_KM
 from startracker.observer import Observer
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ class Instant:
     t_s: float
     r_km: FloatArray
     v_km_s: FloatArray
+    r_centre_km: FloatArray
+    v_centre_km_s: FloatArray
     observer: Observer
     sun_au: FloatArray
     bodies: Bodies
@@ -50,6 +53,10 @@ class Instants:
     r_km: FloatArray
     v_km_s: FloatArray
     """(T, 3): Geocentric state, GCRS."""
+    r_centre_km: FloatArray
+    v_centre_km_s: FloatArray
+    """(T, 3): State relative to the centre of the trajectory, to which the local level refers; the same around the
+    Earth."""
     position_au: FloatArray
     velocity_km_s: FloatArray
     """(T, 3): Barycentric state, ICRS."""
@@ -58,32 +65,42 @@ class Instants:
     bodies: Bodies
     """Bodies at T instants."""
     orbit_argument_deg: FloatArray
-    """(T,): Argument of latitude."""
+    """(T,): Argument of latitude: from the true equator of date around the Earth, otherwise from the ecliptic."""
     latitude_deg: FloatArray
     longitude_deg: FloatArray
     """(T,): Ground track: geodetic latitude, east longitude in [−180, 180]."""
     sunlit: NDArray[np.bool_]
-    """(T,): Whether the spacecraft is outside the Earth's shadow."""
+    """(T,): Whether the spacecraft is outside the shadow of the Earth and of the trajectory's centre."""
 
     @classmethod
-    def of(cls, orbit: Orbit, t_s: FloatArray, sky: Sky) -> Instants:
-        """Ephemerides along an orbit; `InputError` if a date is outside DE421."""
+    def of(cls, orbit: Trajectory, t_s: FloatArray, sky: Sky) -> Instants:
+        """Ephemerides along a trajectory; `InputError` if a time is outside it, or a date outside DE421."""
         clock = orbit.clock
-        r_km, v_km_s = orbit.state(t_s)
+        centred = orbit.state(t_s)
+        r_km, v_km_s = from_earth(orbit, t_s, *centred)
         position_au, velocity_km_s = barycentric_state(clock, t_s, r_km, v_km_s)
+        sun_au = sun_position_au(clock, t_s)
+        plane = "equator_of_date" if orbit.centre == "Earth" else "ecliptic"
         return cls(
             t_s,
             clock.jyear(t_s),
             r_km,
             v_km_s,
+            *centred,
             position_au,
             velocity_km_s,
-            sun_position_au(clock, t_s),
+            sun_au,
             bodies_seen_from(clock, t_s, position_au, velocity_km_s, sky),
-            argument_of_latitude_deg(clock, t_s, r_km, v_km_s),
+            argument_of_latitude_deg(clock, t_s, *centred, plane),
             *ground_track_deg(clock, t_s, r_km),
-            is_sunlit(clock, t_s, r_km),
+            is_sunlit(clock, t_s, r_km) & ~_in_shadow(orbit.centre, centred[0], (sun_au - position_au) * AU_KM),
         )
+
+    def _bodies_at(self, k: int) -> Bodies:
+        """Bodies at instant `k`, without the Earth where it is near."""
+        bodies = self.bodies.at(k)
+        earth = bodies.name == "Earth"
+        return bodies if not earth.any() or is_far(self.r_km[k] / AU_KM) else bodies.select(np.flatnonzero(~earth))
 
     def at(self, k: int) -> Instant:
         """Instant `k`."""
@@ -91,11 +108,24 @@ class Instants:
             float(self.t_s[k]),
             self.r_km[k],
             self.v_km_s[k],
+            self.r_centre_km[k],
+            self.v_centre_km_s[k],
             Observer(float(self.epoch_jyear[k]), self.velocity_km_s[k], self.position_au[k]),
             self.sun_au[k],
-            self.bodies.at(k),
+            self._bodies_at(k),
             float(self.orbit_argument_deg[k]),
             float(self.latitude_deg[k]),
             float(self.longitude_deg[k]),
             bool(self.sunlit[k]),
         )
+
+
+def _in_shadow(centre: str, r_km: FloatArray, to_sun_km: FloatArray) -> NDArray[np.bool_]:
+    """Whether the centre of a trajectory, other than Sun and Earth, as a sphere hides the centre of the Sun from
+    positions (T, 3) relative to it."""
+    if centre in ("Earth", "Sun") or centre not in RADIUS_KM:
+        return np.zeros(len(r_km), dtype=bool)
+    sun = to_sun_km / np.linalg.norm(to_sun_km, axis=-1, keepdims=True)
+    along = -np.sum(r_km * sun, axis=-1)
+    passes = np.linalg.norm(r_km + along[:, None] * sun, axis=-1)
+    return np.asarray((along > 0.0) & (passes < RADIUS_KM[centre]))

@@ -19,7 +19,7 @@ __all__ = ["PLANETS", "SATURN_POLE", "URANUS_AXES_SQUARED", "URANUS_POLE", "moon
 
 FloatArray = NDArray[np.float64]
 
-PLANETS = ("Mercury", "Venus", "Mars", "Jupiter", "Saturn", "Uranus", "Neptune")
+PLANETS = ("Mercury", "Venus", "Earth", "Mars", "Jupiter", "Saturn", "Uranus", "Neptune")
 
 SATURN_POLE = np.array([0.08547883, 0.07323576, 0.99364475])
 """North pole of Saturn, ICRF: RA 40.589°, Dec 83.537° (IAU working group, Archinal et al. 2018)."""
@@ -67,7 +67,8 @@ def planet_v(name: str, from_sun_au: FloatArray, from_observer_au: FloatArray, e
     Notes
     -----
     Outside the observed ranges of phase angle (Mercury 2° to 170°, Venus 2° to 179°, Saturn to 6.5°) the formulae are
-    extrapolated; near the Earth this only occurs for the two inner planets close to the Sun.
+    extrapolated; near the Earth this only occurs for the two inner planets close to the Sun. From elsewhere outer
+    planets are seen at phases that do not occur from the Earth, where their magnitudes are extrapolated.
     """
     r, delta = np.linalg.norm(from_sun_au, axis=-1), np.linalg.norm(from_observer_au, axis=-1)
     sun_ray, sight = from_sun_au / r[..., None], from_observer_au / delta[..., None]
@@ -106,6 +107,10 @@ def _venus(alpha: FloatArray) -> FloatArray:  # eq. 3 and 4
     )
 
 
+def _earth(alpha: FloatArray) -> FloatArray:  # eq. 5
+    return _polynomial(alpha, (-3.99, -1.060e-3, 2.054e-4))
+
+
 def _mars(alpha: FloatArray) -> FloatArray:  # eq. 6 and 7, means over rotation and orbit
     near, far = _polynomial(alpha, (-1.601, 2.267e-2, -1.302e-4)), _polynomial(alpha, (-0.367, -0.02573, 3.445e-4))
     return np.where(alpha <= 50.0, near, far)
@@ -116,7 +121,7 @@ def _jupiter(alpha: FloatArray) -> FloatArray:  # eq. 8 and 9
     return np.where(alpha <= 12.0, _polynomial(alpha, (-9.395, -3.7e-4, 6.16e-4)), -9.428 - 2.5 * np.log10(light))
 
 
-_PHASE_CURVES = {"Mercury": _mercury, "Venus": _venus, "Mars": _mars, "Jupiter": _jupiter}
+_PHASE_CURVES = {"Mercury": _mercury, "Venus": _venus, "Earth": _earth, "Mars": _mars, "Jupiter": _jupiter}
 """V at 1 au from Sun and observer, as a function of the phase angle in degrees."""
 
 

@@ -9,9 +9,10 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.constants import EARTH_RADIUS_KM
 from simulator.sky.ephemeris import barycentric_position_au, sky_time
 from simulator.sky.light import aberrated
-from simulator.sky.magnitudes import PLANETS, moon_v, planet_v, sun_v
+from simulator.sky.magnitudes import moon_v, planet_v, sun_v
 from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.ephemeris import astrometric_au, barycentric
@@ -34,6 +35,7 @@ RADIUS_KM = {
     "Saturn": 60268.0,
     "Uranus": 25559.0,
     "Neptune": 24764.0,
+    "Earth": EARTH_RADIUS_KM,
     "Moon": 1737.4,
     "Sun": 695_700.0,
 }
@@ -47,17 +49,21 @@ B_V = {
     "Saturn": 1.04,
     "Uranus": 0.56,
     "Neptune": 0.41,
+    "Earth": 0.20,
     "Moon": 0.92,
     "Sun": 0.65,
 }
-"""Colours, as in Cox 2000, *Allen's Astrophysical Quantities*, sections 12 and 14."""
+"""Colours, as in Cox 2000, *Allen's Astrophysical Quantities*, sections 12 and 14; spectra are in
+`simulator.sky.albedo`."""
+
+EARTH_DISK_KM = 1.0e6
+"""Distance from which the Earth is one of the bodies, with its magnitude and phase; its radius is then at most 0.37°.
+Closer, `simulator.sky.earth` renders its surface and limb."""
 
 _DEFLECTION_LIMIT = 1e-9
 """Limiter of ERFA's ``eraLd``: deflection is limited within 9″ of the Sun's centre, behind its disk."""
 
-_NAMES = np.array(list(RADIUS_KM))  # the Sun is the last
-_COLOURS = np.array(list(B_V.values()))
-_RADII_AU = np.array(list(RADIUS_KM.values())) / AU_KM
+_ALL = tuple(RADIUS_KM)  # the Moon and the Sun are the last
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +147,8 @@ def bodies_seen_from(
     velocity_km_s: FloatArray | None,
     sky: Sky,
 ) -> Bodies:
-    """Apparent positions and photometry of Mercury to Neptune, Moon and Sun, from DE421 by Skyfield and ERFA.
+    """Apparent positions and photometry of Mercury to Neptune, Moon and Sun, and beyond `EARTH_DISK_KM` of the Earth,
+    from DE421 by Skyfield and ERFA. In a block with instants on both sides of that distance the Earth is included.
 
     Positions include light time (Skyfield's ``observe``), light deflection by the Sun for the other bodies (``eraLd``
     for a source at finite distance, Klioner 2003) and aberration (``eraAb``). Skyfield's ``apparent`` cannot omit
@@ -157,7 +164,8 @@ def bodies_seen_from(
     position_au, velocity_km_s : array, shape (3,) or (T, 3)
         Barycentric state of the observer; without a velocity there is no aberration.
     sky : Sky
-        Its switches `light_deflection` and `aberration` also apply to bodies; without `planets` there are none.
+        Its switches `light_deflection` and `aberration` also apply to bodies; without `planets` there are none, without
+        `earth` no Earth.
 
     Raises
     ------
@@ -166,10 +174,12 @@ def bodies_seen_from(
     """
     if not sky.planets:
         nothing = np.zeros((*np.shape(t_s), 0))
-        return Bodies(_NAMES[:0], np.zeros((*nothing.shape, 3)), *(nothing,) * 4, _COLOURS[:0])
+        return Bodies(np.array(_ALL[:0]), np.zeros((*nothing.shape, 3)), *(nothing,) * 4, np.empty(0))
     time = sky_time(clock, t_s)
+    earth_is_far = sky.earth and bool(is_far(position_au - barycentric("Earth", time).xyz.au.T).any())
+    names = [name for name in _ALL if earth_is_far or name != "Earth"]
     sun = barycentric("Sun", time).xyz.au.T
-    seen = astrometric_au(_NAMES.tolist(), time, position_au)
+    seen = astrometric_au(names, time, position_au)
     distance = np.linalg.norm(seen, axis=-1)
     direction = seen / distance[..., None]
     from_sun = seen[..., :-1, :] + (position_au - sun)[..., None, :]
@@ -182,14 +192,20 @@ def bodies_seen_from(
         direction[..., :-1, :] = _deflected(direction[..., :-1, :], unit, position_au - sun)
     if sky.aberration and velocity_km_s is not None:
         direction = aberrated(direction, velocity_km_s[..., None, :])
-    columns = [planet_v(name, from_sun[..., k, :], seen[..., k, :], clock.jyear(t_s)) for k, name in enumerate(PLANETS)]
+    year, planets = clock.jyear(t_s), names[:-2]
+    columns = [planet_v(name, from_sun[..., k, :], seen[..., k, :], year) for k, name in enumerate(planets)]
     phase_deg = np.degrees(np.arccos(cosine[..., -1]))
     columns += [moon_v(sun_distance[..., -1], distance[..., -2], phase_deg), sun_v(distance[..., -1])]
-    radius = np.arcsin(np.minimum(_RADII_AU / distance, 1.0))
+    radius = np.arcsin(np.minimum(np.array([RADIUS_KM[name] for name in names]) / AU_KM / distance, 1.0))
     arrays = (direction, distance, np.stack(columns, axis=-1), radius, lit)
     for array in arrays:  # used for a block of frames
         array.flags.writeable = False
-    return Bodies(_NAMES, *arrays, _COLOURS)
+    return Bodies(np.array(names), *arrays, np.array([B_V[name] for name in names]))
+
+
+def is_far(from_earth_au: FloatArray) -> NDArray[np.bool_]:
+    """Whether the Earth is one of the bodies, at positions (..., 3) of the observer relative to it."""
+    return np.asarray(np.linalg.norm(from_earth_au, axis=-1) * AU_KM >= EARTH_DISK_KM)
 
 
 def _deflected(direction: FloatArray, from_sun: FloatArray, observer_au: FloatArray) -> FloatArray:

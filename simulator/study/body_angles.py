@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from simulator.build import build_orbit
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
+from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
 from simulator.sky.ephemeris import barycentric_position_au
 from startracker.constants import AU_KM
@@ -36,7 +37,7 @@ def body_angles_deg(
         The bodies.
     """
     orbit = build_orbit(scenario)
-    r_km = orbit.state(t_s)[0]
+    r_km = geocentric(orbit, t_s).r_km
     return {body: angle_from_deg(body, orbit.clock, t_s, r_km, directions) for body in bodies}
 
 

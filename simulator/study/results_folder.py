@@ -29,6 +29,7 @@ FILES = {
     "design": "design.json",
     "budget": "budget.json",
     "datasheet": "datasheet.json",
+    "environment": "environment.json",
 }
 """Kinds of results, and the file with their identity."""
 

@@ -18,7 +18,7 @@ from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.settings import DetectionSettings
 
 __all__ = ["adaptive_radius", "cluster_pixels", "find_clusters", "merge_clusters"]
@@ -48,7 +48,7 @@ def find_clusters(
     else it becomes a new cluster (Yee 1999, section 2.2). Two things that its section 5.2 asks for are added: τ adapts,
     to the frame (`adaptive_radius`) in place of trial and error and, growing as √n with the pixels that a cluster has,
     to each star; and clusters whose centres end up within τ of one another, as one star met on two sides does, are
-    merged. A `cluster_radius_px` of one's own is kept as it is. Those of fewer than `min_pixels` are dropped (Yee
+    merged. A `cluster_radius_px` that is given is used unchanged. Those of fewer than `min_pixels` are dropped (Yee
     1999: 10).
 
     Parameters
@@ -171,18 +171,24 @@ def cluster_pixels(
             centre[found, 1] += (y - centre[found, 1]) / row["pixels"]
             moved = int(centre[found, 0] / tau)
             if moved != cell_of[found]:
-                if cell_of[found] >= 0:
-                    previous, other = -1, head[cell_of[found]]
-                    while other != found:
-                        previous, other = other, following[other]
-                    if previous < 0:
-                        head[cell_of[found]] = following[found]
-                    else:
-                        following[previous] = following[found]
-                following[found] = head[moved]
-                head[moved] = found
-                cell_of[found] = moved
+                _move_to_cell(moved, found, head, following, cell_of)
     return table[:count]
+
+
+@kernel_part
+def _move_to_cell(moved: int, cluster: int, head: IntArray, following: IntArray, cell_of: IntArray) -> None:
+    """Take a cluster out of the chain of its cell, if it has one, and put it first into that of the cell `moved`."""
+    if cell_of[cluster] >= 0:
+        previous, other = -1, head[cell_of[cluster]]
+        while other != cluster:
+            previous, other = other, following[other]
+        if previous < 0:
+            head[cell_of[cluster]] = following[cluster]
+        else:
+            following[previous] = following[cluster]
+    following[cluster] = head[moved]
+    head[moved] = cluster
+    cell_of[cluster] = moved
 
 
 def merge_clusters(table: Sources, tau: float, growth: float = 0.0) -> Sources:

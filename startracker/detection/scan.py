@@ -9,6 +9,8 @@ which takes as long as a hundred pixels. Indices have no sign, as one that may b
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,12 +99,14 @@ def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out:
 
 @kernel
 def _sample_row(
-    work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, first: int, stride: int, sample: FloatImage,
-    count: int,
+    work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, columns: tuple[int, int],
+    sample: FloatImage, count: int,
 ) -> int:  # fmt: skip
+    """Add the filtered signal over the noise of every `columns[1]`-th pixel of a row from `columns[0]` on; how many are
+    in the sample."""
     share, lines, row, cell = noise.share[y], noise.lines, np.uint64(y), np.uint64(noise.cell[y])
     below, index = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(count)
-    for x in range(np.uint64(first), np.uint64(image.shape[1]), np.uint64(stride)):
+    for x in range(np.uint64(columns[0]), np.uint64(image.shape[1]), np.uint64(columns[1])):
         sample[index] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
         index += np.uint64(is_value(image[row, x]))
     return int(np.int64(index))  # a signed number, as callers count with
@@ -145,19 +149,39 @@ def search_rows(
     most = height * (len(marks) // _WORD)  # room for all: memory that is never written costs nothing
     groups, found = np.empty((most, 2), np.uint64), np.empty((most, _WORD), np.float32)
     sample = np.empty(height * width // stride + 1, np.float32)
+    space = _Space(work, starts.astype(np.uint64), marks, marks.view(np.uint64))
     rows_found, sampled = _search(
-        image, level, noise, half, np.float32(threshold), stride, work, starts.astype(np.uint64), marks,
-        marks.view(np.uint64), groups, found, sample,
-    )  # fmt: skip
+        image, level, noise, half, np.float32(threshold), stride, space, _Found(groups, found, sample)
+    )
     return groups[:rows_found].copy(), found[:rows_found].copy(), sample[:sampled].copy()
+
+
+class _Space(NamedTuple):
+    """Working space of `_search`."""
+
+    work: FloatImage
+    starts: Places
+    """Where its rows begin."""
+    marks: NDArray[np.uint8]
+    words: Places
+    """The marks by eight."""
+
+
+class _Found(NamedTuple):
+    """Arrays for the results of `search_rows`."""
+
+    groups: Places
+    found: FloatImage
+    sample: FloatImage
 
 
 @kernel
 def _search(
-    image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int, work: FloatImage,
-    starts: Places, marks: NDArray[np.uint8], words: Places, groups: Places, found: FloatImage, sample: FloatImage,
+    image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int, space: _Space,
+    out: _Found,
 ) -> tuple[int, int]:  # fmt: skip
-    """Fills `groups`, `found` and `sample` of `search_rows`, and how much of them; `words` are the `marks` by eight."""
+    """Fills the arrays of `search_rows`, and how much of them."""
+    (work, starts, marks, words), (groups, found, sample) = space, out
     height, width = image.shape
     reach = len(half) - 1
     size = 2 * reach + 1
@@ -179,7 +203,7 @@ def _search(
         done = y - reach - 1
         if done >= 0:
             count = _collect_marked(words, work, total, done, groups, found, count)
-            samples = _sample_row(work, total, noise, image, done, index, stride, sample, samples)
+            samples = _sample_row(work, total, noise, image, done, (index, stride), sample, samples)
             index += (width - index + stride - 1) // stride * stride - width if index < width else -width
         centre = y - reach
         if not 0 <= centre < height:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from startracker.kernels import kernel
 from startracker.linalg import transform
 from startracker.sorting import median
 
-__all__ = ["MARGIN_PX", "REJECT_SIGMAS", "joined", "matched_again", "named"]
+__all__ = ["MARGIN_PX", "REJECT_SIGMAS", "Field", "joined", "matched_again", "named"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -29,6 +30,17 @@ _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _MANY, _LEAST_SCALE = 10, 0.4
 
 
+class Field(NamedTuple):
+    """The guide stars and the camera that sees them."""
+
+    sky: FloatArray
+    """Apparent directions (G, 3)."""
+    grid: VoxelGrid
+    cosine: float
+    """Of the angle from the boresight to the corner of the image."""
+    image: ImageMap
+
+
 @kernel
 def matched_again(
     used: IntArray,
@@ -37,16 +49,13 @@ def matched_again(
     xy: FloatArray,
     sigma: FloatArray,
     known: bool,
-    sky: FloatArray,
-    grid: VoxelGrid,
-    cosine: float,
-    image: ImageMap,
+    field: Field,
 ) -> tuple[IntArray, bool]:
     """Pairs (M, 2) of centroids and the nearest guide stars at an attitude, and whether they are those in use."""
     vectors = np.empty_like(reference)
     transform(matrix, reference, vectors)
-    scale = _robust_scale(used, xy, to_pixels(vectors, image), sigma, known)
-    index, _, positions = stars_on_image(matrix, cosine, MARGIN_PX, sky, grid, image)
+    scale = _robust_scale(used, xy, to_pixels(vectors, field.image), sigma, known)
+    index, _, positions = stars_on_image(matrix, field.cosine, MARGIN_PX, field.sky, field.grid, field.image)
     gate = np.empty(len(xy))
     for star in range(len(xy)):
         gate[star] = REJECT_SIGMAS * scale * sigma[star]

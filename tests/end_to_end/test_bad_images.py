@@ -171,7 +171,7 @@ def test_an_empty_folder_and_a_folder_of_bad_and_good_files(tmp_path, solve):
     folder.mkdir()
     code, answers, err = solve(folder)
     assert (code, answers) == (2, [])
-    assert "holds no image" in err
+    assert "contains no image" in err
     (folder / "a.png").write_bytes(b"nothing")
     Image.fromarray(cat()).save(folder / "b.png")
     code, answers, err = solve(folder)

@@ -86,7 +86,7 @@ _LESS = {
     "sequence": {"--frames": "4"},
     "sweep": {"--trials": "3", "--workers": "1"},
     "study coverage": {"--boresights": "200"},
-    "study design": {"--boresights": "200", "--steps": "3"},
+    "study design": {"--boresights": "200", "--steps": "3", "--verify": "2"},
     "study budget": {"--trials": "2", "--workers": "1"},
     "study greyling1995": {"--section": "path"},
     "study yee1999": {"--section": "databases"},

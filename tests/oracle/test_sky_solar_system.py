@@ -304,7 +304,7 @@ def test_tdb_against_the_almanacs_series():
 
 def test_every_body_has_all_its_columns():
     bodies = seen_from_the_geocentre(EPOCHS[0])
-    assert bodies.name.tolist() == list(RADIUS_KM)
+    assert bodies.name.tolist() == [name for name in RADIUS_KM if name != "Earth"]
     for column in (
         bodies.v_mag,
         bodies.b_v,

@@ -126,9 +126,9 @@ def test_none_draws_nothing():
     [
         (None, "cannot be read"),
         ("a,b\n1,x\n2,3\n", "two columns of numbers"),
-        ("1,1\n1,2\n", "frequencies must rise"),
+        ("1,1\n1,2\n", "frequencies must be ascending"),
         ("0,0\n1,0\n", "not all 0"),
-        ("0,-1\n1,3\n", "densities be 0 or more"),
+        ("0,-1\n1,3\n", "densities 0 or more"),
     ],
 )
 def test_tables_that_are_none(tmp_path, text, message):

@@ -60,15 +60,15 @@ def test_every_command_has_an_example_of_itself(command, words):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("rnder",), "boresight: 'rnder' is no command; did you mean 'render'?"),
-        (("quux",), "'quux' is no command; there are run, render,"),
-        (("study", "coverge"), "boresight study: 'coverge' is no study; did you mean 'coverage'?"),
+        (("rnder",), "boresight: 'rnder' is not a command; did you mean 'render'?"),
+        (("quux",), "'quux' is not a command; choose from run, render,"),
+        (("study", "coverge"), "boresight study: 'coverge' is not a study; did you mean 'coverage'?"),
         (("run", "cubesat", "--trails", "3"), "boresight run: --trails: no such option; did you mean '--trials'?"),
         (("run", "cubesat", "--trials", "x"), "'--trials': must be a whole number (see boresight run --help)"),
         (("run", "cubsat"), "cubsat: no such file; did you mean 'cubesat'?"),
         (("show", "scenarios/cubesatt.yaml"), "did you mean"),
         (("show", "gallery/mon"), "did you mean"),
-        (("validate", "nothing_like_it"), "included are cubesat, "),
+        (("validate", "nothing_like_it"), "included are cbers2, cruise, cubesat, "),
         (("show", "cubesat", "--set", "optics.apertur_mm=3"), "did you mean 'optics.aperture_mm'?"),
         (("show", "cubesat", "--set", "pointing.target=Sirus"), "did you mean 'Sirius'?"),
         (("show", "cubesat", "--set", "tracker.identifier=piramid"), "did you mean 'pyramid'?"),
@@ -101,7 +101,7 @@ def test_an_interrupt_is_one_line(command, monkeypatch):
 
 
 def test_shells_complete_scenarios_and_keys():
-    assert complete_scenario("cub") == ["cubesat"]
+    assert complete_scenario("cub") == ["cubesat", "cubesat_flight"]
     assert "gallery/moon" in complete_scenario("gallery/")
     assert complete_key("optics.ap") == ["optics.aperture_mm="]
     environment = os.environ | {

@@ -288,8 +288,8 @@ def test_a_truncated_colour_tiff_of_16_bits_is_one_clear_line(tmp_path):
 @pytest.mark.parametrize(
     ("name", "start", "says"),
     [
-        ("a.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "HEIC images are not read; .*heif-convert a.heic a.png"),
-        ("a.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0mif1heic", "HEIC images are not read"),
+        ("a.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "HEIC images are not supported; .*heif-convert a.heic a.png"),
+        ("a.jpg", b"\0\0\0\x18ftypmif1\0\0\0\0mif1heic", "HEIC images are not supported"),
         ("IMG 1.CR2", b"II*\0\x10\0\0\0CR\x02\0", "raw images .* dcraw -T -4 -h 'IMG 1.CR2'"),
         ("a.nef", b"MM\0*\0\0\0\x08", "raw images"),
         ("a.cr3", b"\0\0\0\x18ftypcrx \0\0\0\x01", "raw images"),

@@ -104,7 +104,7 @@ def test_the_example_is_good():
         ),
         (
             GOOD + "orbit: {propagator: sgp5}\n",
-            "x.yaml:11:9: orbit.propagator: must be 'j2' or 'sgp4', not 'sgp5'; did you mean 'sgp4'?",
+            "x.yaml:11:9: orbit.propagator: must be 'auto', 'j2', 'sgp4', 'kepler' or 'numerical', not 'sgp5'; did you mean 'sgp4'?",
         ),
         (
             GOOD + "orbit: {inclination_deg: 190}\n",
@@ -235,7 +235,7 @@ def test_files_that_cannot_be_read(tmp_path):
 
     assert told(tmp_path / "no.yaml") == f"{tmp_path}/no.yaml: no such file"
     assert told(tmp_path) == f"{tmp_path}: is a folder, not a scenario file"
-    assert told("nothing_of_this_name").startswith("nothing_of_this_name: no such file; included are cubesat, ")
+    assert told("nothing_of_this_name").startswith("nothing_of_this_name: no such file; included are cbers2, ")
     latin = tmp_path / "latin.yaml"
     latin.write_bytes(b"name: demo\ndescription: caf\xe9\n")
     assert told(latin) == f"{latin}:2:17: is not UTF-8 text: byte 0xe9; save the file as UTF-8"

@@ -212,13 +212,28 @@ def test_one_trial_is_no_budget():
 
 
 def test_every_effect_can_be_switched_off_in_every_shipped_scenario():
-    for name in ("cubesat", "sunsat"):
+    for name in ("cubesat", "cubesat_flight", "sunsat"):
         scenario = Scenario.load(name)
         for effect in EFFECTS:
             changes = effect.off(scenario)
             without = scenario.changed(changes)
             assert not effect.off(without), effect.name
             assert effect.kind in CLASSES
+
+
+def test_errors_of_the_camera_are_effects():
+    """Each is off in the cubesat and the thesis' satellite, and can be switched off alone in the flight camera."""
+    names = {
+        "calibration residual", "lateral colour", "decentring of the lens", "intra-pixel response", "time tag",
+        "unresolved faint stars", "catalogue errors",
+    }  # fmt: skip
+    known = {effect.name: effect for effect in EFFECTS}
+    flight = Scenario.load("cubesat_flight")
+    for name in names:
+        assert not known[name].off(Scenario.load("cubesat"))
+        assert not known[name].off(Scenario.load("sunsat")) or name == "catalogue errors"  # of bsc5
+        without = flight.changed(known[name].off(flight))
+        assert {other for other in names if known[other].off(without)} == names - {name}
 
 
 def test_smear_off_is_a_camera_that_stands_still():

@@ -49,6 +49,17 @@ def _even_gain(scenario: Scenario) -> Changes:
     return {"detector.intensifier.gain_variance": 0.0} if scenario.detector.intensifier.gain else {}
 
 
+def _no_particles(scenario: Scenario) -> Changes:
+    if scenario.environment.has_particles:
+        return {"environment.transients": False, "detector.cosmic_rays.rate_cm2_s": 0.0}
+    return {"detector.cosmic_rays.rate_cm2_s": 0.0}
+
+
+def _as_new(scenario: Scenario) -> Changes:
+    changes: Changes = {"detector.displacement.interactions_per_pixel": 0.0, "detector.telegraph.pixel_fraction": 0.0}
+    return changes | ({"environment.age_years": 0.0} if scenario.environment.has_damage else {})
+
+
 def _no_rate(scenario: Scenario) -> Changes:
     """Body rate that cancels the rotation of the local level, 2π per period about −Y (`simulator.mission.pointing`), or
     a spin about +Z."""
@@ -79,7 +90,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("gain of the intensifier", "temporal", _even_gain),
     Effect("video noise", "temporal", {"detector.video.noise_dn": 0.0}),
     Effect("quantisation", "temporal", _no_converter),
-    Effect("cosmic rays", "temporal", {"detector.cosmic_rays.rate_cm2_s": 0.0}),
+    Effect("cosmic rays", "temporal", _no_particles),
     Effect("sky background", "temporal", {"sky.background": False}),
     Effect("stray light", "temporal", {"optics.baffle.pst": None}),
     Effect("dark current", "temporal", {"detector.dark_current_e_s": 0.0, "detector.intensifier.dark_e_s": 0.0}),
@@ -94,6 +105,7 @@ EFFECTS: tuple[Effect, ...] = (
             "detector.dead_columns": 0,
         },
     ),
+    Effect("radiation damage", "pixel_spatial", _as_new),
     Effect("response non-uniformity", "pixel_spatial", {"detector.prnu": 0.0}),
     Effect(
         "intra-pixel response",

@@ -6,7 +6,8 @@ All attitudes have the same weight, of the sky or of the time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.mission.pointing import level_matrices, round_s
 from simulator.mission.sampling import trial_time_s
+from simulator.mission.trajectory import from_earth, geocentric
 from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
@@ -47,6 +49,8 @@ class Exclusion:
     """Minimum angle between the boresight and the centre of the body."""
     earth_deg: float = 0.0
     """Minimum angle between the boresight and the Earth's limb, lit or dark."""
+    sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
+    """Key or option that the angle of each body comes from, for display."""
 
     def __post_init__(self) -> None:
         for name in ("sun_deg", "moon_deg", "earth_deg"):
@@ -156,7 +160,8 @@ def whole_sky(
     nothing = Boresights("sky", matrices, np.zeros(n), np.zeros((n, 3)), np.full(n, NO_EARTH), {}, rolls)
     if scenario is None or exclusion is None:
         return nothing
-    r_km = np.broadcast_to(build_orbit(scenario).state(0.0)[0], (n, 3))
+    orbit = build_orbit(scenario)
+    r_km = np.broadcast_to(geocentric(orbit, nothing.t_s[:1]).r_km, (n, 3))
     excluded = _excluded(exclusion, Clock(scenario.epoch), nothing.t_s, r_km, directions)
     return Boresights("sky", matrices, nothing.t_s, nothing.nadir, nothing.limb_cosine, excluded, rolls)
 
@@ -174,15 +179,16 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
     _at_least_one("boresights", count)
     sampling = scenario.study.sampling
     if sampling == "sky" and scenario.pointing.target is None:
-        raise InputError("study.sampling: sky has no boresight path; omit --path, or set it to mission_year or orbit")
+        raise InputError("study.sampling: sky has no boresight path; omit --path, or use mission_year, orbit or span")
     orbit = build_orbit(scenario)
     period_s = round_s(scenario.pointing, orbit.period_s)
-    t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s)
-    r_km, v_km_s = orbit.state(t_s)
+    t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s, orbit.span_s)
+    centred = orbit.state(t_s)
+    r_km = from_earth(orbit, t_s, *centred).r_km
     if scenario.pointing.target is None and not scenario.pointing.spin.rate_deg_s:
         body = Attitude.from_rotation_vector(np.radians(scenario.pointing.offset_deg), "local_level", "body")
         turn = (build_mounting(scenario) @ body).as_matrix()
-        matrices = turn @ level_matrices(r_km, v_km_s)
+        matrices = turn @ level_matrices(*centred)
     else:
         matrices = _of_scenes(scenario, t_s)
     distance = np.linalg.norm(r_km, axis=1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import build_focal_plane, build_mounting, build_orbit, detector_parameters
+from simulator.build import aged_detector, build_focal_plane, build_mounting, build_orbit
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
@@ -24,7 +24,13 @@ from simulator.scenario import Scenario
 from simulator.sky.background import sky_brightness_s10
 from simulator.sky.photometry import Photometer
 from simulator.study.coverage.boresights import sky_grid
-from simulator.study.trials.bounds import fisher_of_position, image_slopes, mean_dark_e, pixel_variance_e2
+from simulator.study.trials.bounds import (
+    fisher_of_position,
+    image_slopes,
+    mean_dark_e,
+    mean_displacement_e,
+    pixel_variance_e2,
+)
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.display import fields_repr
@@ -139,7 +145,7 @@ def build_sensitivity(scenario: Scenario, snr: float | None = None) -> Sensitivi
     if not (math.isfinite(least) and least > 0):
         raise InputError(f"snr: must be positive, not {least}")
     plane = build_focal_plane(scenario)
-    exposure_s, detector = scenario.detector.exposure_s, detector_parameters(scenario.detector)
+    exposure_s, detector = scenario.detector.exposure_s, aged_detector(scenario)
     images = _images(plane, nominal_rate_rad_s(scenario), exposure_s)
     pixel = _pixel(plane, detector, exposure_s)
     if detection.matched_filter:
@@ -221,7 +227,7 @@ def _pixel(plane: FocalPlane, detector: DetectorParameters, exposure_s: float) -
     directions = sky_grid(200)
     s10 = sky_brightness_s10(directions, -directions[0], plane.sky)
     sky_e = float(np.median(s10)) * plane.s10_e_s_pixel * exposure_s
-    dark_e = mean_dark_e(detector, exposure_s)
+    dark_e = mean_dark_e(detector, exposure_s) + mean_displacement_e(detector, exposure_s)
     none = np.zeros(1)
     noise_e = math.sqrt(max(float(pixel_variance_e2(none + sky_e, dark_e, none, detector, exposure_s)[0]), 1e-12))
     highest = highest_dn(detector)

@@ -163,7 +163,7 @@ def _camera(scenario: Scenario) -> dict[str, str]:
         "detector": f"{detector.width} × {detector.height} pixels of {pitch} µm",
         "exposure": f"{detector.exposure_s:g} s, every {scenario.sequence.step_s:g} s",
         "temperature": f"detector {detector.temperature_c:g} °C, lens {optics.thermal.temperature_c:g} °C",
-        "orbit": f"{scenario.orbit.altitude_km:g} km",
+        "orbit": scenario.orbit.described,
         "age": _age(scenario),
         "tracker": f"{tracker.catalog} to V {tracker.magnitude_limit:g}, {tracker.centroider}, {tracker.identifier}",
         "fields": f"attitudes by study.sampling: {scenario.study.sampling}",

@@ -244,6 +244,7 @@ def _how(scenario: Scenario, summary: Mapping[str, Any]) -> str:
     sampling = {
         "mission_year": "at times distributed over a year of the mission",
         "orbit": "distributed over one rotation" if scenario.pointing.spin.rate_deg_s else "distributed over one orbit",
+        "span": "at times distributed over the span of the ephemeris",
         "sky": "at random attitudes over the whole sky",
     }[scenario.study.sampling]
     many = summary["workers"] > 1

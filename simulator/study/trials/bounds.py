@@ -150,29 +150,10 @@ def _information(renderer: Renderer, truth: FrameTruth, stars: IntArray, directi
         chosen = stars[members]
         centres = np.rint(sources.xy[chosen])
         images, flux = image_slopes(psf, paths[members] - centres[:, None, :], weights, half), sources.electrons[chosen]
-        information[members] = _about_stars(*images, flux, centres, truth.mean_electrons, wells, noise)
+        variance = images[0] * flux[:, None, None]
+        _variances_about(variance, truth.mean_electrons, wells, centres, noise)
+        information[members] = fisher_of_position(*images, flux, variance)
     return information
-
-
-@kernel
-def _about_stars(
-    share: FloatArray,
-    slope_x: FloatArray,
-    slope_y: FloatArray,
-    flux: FloatArray,
-    centres: FloatArray,
-    mean_e: FloatArray,
-    wells: Wells,
-    noise: tuple[float, float, float, float],
-) -> FloatArray:
-    """Kernel: Fisher matrices (N, 2, 2) from images of unit flux and their derivatives (N, M, M) around central
-    pixels."""
-    variance, out = share.copy(), np.empty((len(flux), 2, 2))
-    for n in range(len(flux)):
-        variance[n] *= flux[n]
-    _variances_about(variance, mean_e, wells, centres, noise)
-    _fisher(out, share, slope_x, slope_y, flux, variance)
-    return out
 
 
 def fisher_of_position(
@@ -328,6 +309,12 @@ def mean_dark_e(detector: DetectorParameters, exposure_s: float) -> float:
     """Mean dark electrons of a normal pixel over the exposure."""
     factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
     return detector.dark_current_e_s * exposure_s * factor
+
+
+def mean_displacement_e(detector: DetectorParameters, exposure_s: float) -> float:
+    """Mean electrons of displacement damage in a pixel over the exposure."""
+    factor = dark_current_factor(detector.temperature_c, detector.dark_reference_c, detector.dark_doubling_c)
+    return detector.displacement.mean_e_s * exposure_s * factor
 
 
 def _wells(pattern: FixedPattern, detector: DetectorParameters, exposure_s: float) -> Wells:

@@ -1,0 +1,105 @@
+"""Epochs as text in mission files, in the time scales that they use, as seconds after the scenario's epoch."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.mission.clock import SECONDS_PER_DAY, Clock
+from startracker.constants import J2000_JD_TT
+from startracker.errors import InputError
+
+__all__ = ["SCALES", "elapsed_s", "tdb_seconds"]
+
+FloatArray = NDArray[np.float64]
+
+SCALES = ("UTC", "TAI", "TT", "TDB", "GPS")
+"""Time scales that can be read; TDT is TT."""
+_GPS_BEHIND_TAI_S = 19.0
+_CALENDAR = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d):(\d\d(?:\.\d*)?)Z?")
+_DAY_OF_YEAR = re.compile(r"(\d{4})-(\d{3})T(\d\d):(\d\d):(\d\d(?:\.\d*)?)Z?")
+
+
+def elapsed_s(clock: Clock, texts: Sequence[str], scale: str, positions: Sequence[str]) -> FloatArray:
+    """SI seconds (N,) from the clock's epoch to epochs of one time scale.
+
+    Parameters
+    ----------
+    clock : Clock
+        The scenario's clock.
+    texts : sequence of str
+        N epochs, ``2026-03-21T12:00:00.000`` or, with the day of the year, ``2026-080T12:00:00.000``.
+    scale : str
+        One of `SCALES`, or ``TDT``.
+    positions : sequence of str
+        File and line of each, for messages.
+
+    Raises
+    ------
+    InputError
+        For an unknown time scale, or the first epoch that is not one.
+
+    Notes
+    -----
+    The resolution is that of the two-part Julian date of the scenario's epoch, 0.02 ns, and of a float of seconds:
+    4 ns after a year. TDB by ERFA's ``dtdb`` at the geocentre.
+    """
+    scale = {"TDT": "TT"}.get(scale.upper(), scale.upper())
+    if scale not in SCALES:
+        raise InputError(f"{positions[0]}: time scale '{scale}' cannot be read; convert to {', '.join(SCALES)}")
+    fields = np.array([_fields(text, at) for text, at in zip(texts, positions, strict=True)]).reshape(-1, 6)
+    whole = [column.astype(np.int32) for column in fields[:, :5].T]
+    jd1, jd2, status = erfa.ufunc.dtf2d("UTC" if scale == "UTC" else "TAI", *whole, fields[:, 5])
+    if (wrong := np.flatnonzero((status < 0) | (status > 1))).size:  # 1: after the table of leap seconds
+        raise InputError(f"{positions[wrong[0]]}: '{texts[wrong[0]]}' is no date and time of {scale}")
+    tt1, tt2 = _to_tt(jd1, jd2, scale)
+    first1, first2 = clock.tt_jd(0.0)
+    return np.asarray(((tt1 - first1) + (tt2 - first2)) * SECONDS_PER_DAY)
+
+
+def tdb_seconds(clock: Clock, t_s: FloatArray) -> FloatArray:
+    """TDB seconds after J2000, SPICE's ephemeris time, of seconds (N,) after the clock's epoch."""
+    tt1, tt2 = clock.tt_jd(t_s)
+    return np.asarray(((tt1 - J2000_JD_TT) + tt2) * SECONDS_PER_DAY + _tdb_minus_tt(tt1, tt2))
+
+
+def from_tdb_seconds(clock: Clock, tdb_s: FloatArray) -> FloatArray:
+    """The inverse of `tdb_seconds`."""
+    tt1, tt2 = clock.tt_jd(0.0)
+    tt_s = tdb_s - _tdb_minus_tt(J2000_JD_TT, tdb_s / SECONDS_PER_DAY)
+    return np.asarray(tt_s - ((tt1 - J2000_JD_TT) + tt2) * SECONDS_PER_DAY)
+
+
+def _tdb_minus_tt(jd1: FloatArray | float, jd2: FloatArray) -> FloatArray:
+    """TDB − TT, s; the argument may be in either, as its slope is below 4e-10."""
+    return np.asarray(erfa.ufunc.dtdb(jd1, jd2, 0.0, 0.0, 0.0, 0.0))
+
+
+def _fields(text: str, position: str) -> tuple[float, ...]:
+    """Year, month, day, hour, minute, second; a day of the year counts from 1 January, as a day of month 1."""
+    if match := _CALENDAR.fullmatch(text):
+        return tuple(float(part) for part in match.groups())
+    if match := _DAY_OF_YEAR.fullmatch(text):
+        year, day, *time = match.groups()
+        date = np.datetime64(f"{year}-01-01") + np.timedelta64(int(day) - 1, "D")
+        if str(date)[:4] == year:
+            return tuple(float(part) for part in (year, str(date)[5:7], str(date)[8:10], *time))
+    raise InputError(f"{position}: '{text}' is no epoch such as 2026-03-21T12:00:00.000")
+
+
+def _to_tt(jd1: FloatArray, jd2: FloatArray, scale: str) -> tuple[FloatArray, FloatArray]:
+    """Two-part Julian dates TT of those of another scale."""
+    if scale == "TT":
+        return jd1, jd2
+    if scale == "TDB":
+        return jd1, jd2 - _tdb_minus_tt(jd1, jd2) / SECONDS_PER_DAY
+    if scale == "UTC":
+        jd1, jd2, _ = erfa.ufunc.utctai(jd1, jd2)
+    if scale == "GPS":
+        jd2 = jd2 + _GPS_BEHIND_TAI_S / SECONDS_PER_DAY
+    tt1, tt2, _ = erfa.ufunc.taitt(jd1, jd2)
+    return tt1, tt2

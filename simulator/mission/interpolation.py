@@ -1,0 +1,87 @@
+"""Interpolation of tables of states: Lagrange's polynomials, and Hermite's through positions and velocities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["StateTable"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StateTable:
+    """States at ascending times, interpolated by polynomials through the nearest of them.
+
+    An even number of nodes is taken half before and half after the instant, an odd number around the nearest node; at
+    the ends the first or last ones (as SPICE does for its types 8, 9, 12 and 13, *SPK Required Reading*)."""
+
+    t_s: FloatArray
+    """(N,): Ascending."""
+    states: FloatArray
+    """(N, 6): Positions and velocities."""
+    method: Literal["lagrange", "hermite"]
+    """``lagrange``: each of the six columns by itself. ``hermite``: the position through positions and velocities, the
+    velocity as its derivative."""
+    nodes: int
+    """Nodes of a polynomial: degree + 1 for ``lagrange``, (degree + 1) / 2 for ``hermite``; at most N."""
+
+    def state(self, t_s: FloatArray) -> FloatArray:
+        """States (T, 6) at times (T,) within the table."""
+        first = self._first(t_s)
+        rows = first[:, None] + np.arange(self.nodes)
+        x, y = self.t_s[rows] - t_s[:, None], self.states[rows]
+        if self.method == "lagrange":
+            return _newton(x, _differences(x, y))[0]
+        doubled = np.repeat(x, 2, axis=1)
+        position, velocity = _newton(doubled, _doubled_differences(x, y))
+        return np.concatenate([position, velocity], axis=1)
+
+    def _first(self, t_s: FloatArray) -> NDArray[np.int64]:
+        """First node (T,) of the polynomial of each time."""
+        if self.nodes % 2 == 0:
+            first = np.searchsorted(self.t_s, t_s, side="right") - self.nodes // 2
+        else:
+            nearest = np.searchsorted((self.t_s[1:] + self.t_s[:-1]) / 2.0, t_s, side="right")
+            first = nearest - self.nodes // 2
+        return np.asarray(np.clip(first, 0, len(self.t_s) - self.nodes))
+
+
+def _differences(x: FloatArray, y: FloatArray) -> list[FloatArray]:
+    """Newton's divided differences: coefficients (T, C), one a node, of nodes (T, n) with values (T, n, C)."""
+    table, coefficients = y, [y[:, 0]]
+    for order in range(1, x.shape[1]):
+        apart = (x[:, order:] - x[:, :-order])[..., None]
+        table = (table[:, 1:] - table[:, :-1]) / apart
+        coefficients.append(table[:, 0])
+    return coefficients
+
+
+def _doubled_differences(x: FloatArray, y: FloatArray) -> list[FloatArray]:
+    """Divided differences of nodes (T, n), each taken twice, with positions and derivatives (T, n, 6)."""
+    position, slope = y[..., :3], y[..., 3:]
+    doubled = np.repeat(x, 2, axis=1)
+    table = np.repeat(position, 2, axis=1)
+    first = np.empty_like(table[:, 1:])
+    first[:, 0::2] = slope  # two equal nodes: the derivative
+    first[:, 1::2] = (position[:, 1:] - position[:, :-1]) / (x[:, 1:] - x[:, :-1])[..., None]
+    coefficients, table = [position[:, 0], first[:, 0]], first
+    for order in range(2, doubled.shape[1]):
+        apart = (doubled[:, order:] - doubled[:, :-order])[..., None]
+        table = (table[:, 1:] - table[:, :-1]) / apart
+        coefficients.append(table[:, 0])
+    return coefficients
+
+
+def _newton(x: FloatArray, coefficients: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Value and derivative (T, C) at 0 of Newton's polynomial with nodes (T, n)."""
+    value, slope = coefficients[-1], np.zeros_like(coefficients[-1])
+    for order in range(len(coefficients) - 2, -1, -1):
+        away = -x[:, order, None]
+        slope = slope * away + value
+        value = value * away + coefficients[order]
+    return value, slope

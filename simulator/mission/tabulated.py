@@ -1,0 +1,169 @@
+"""Trajectories given by tables of states: segments of an ephemeris, and tables in CSV."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.mission.ccsds import read_text
+from simulator.mission.clock import Clock
+from simulator.mission.epochs import elapsed_s
+from simulator.mission.frames import states_to_gcrs
+from simulator.mission.interpolation import StateTable
+from simulator.mission.trajectory import GM_KM3_S2, centre_state, osculating_period_s, refuse_outside
+from startracker.errors import InputError
+
+__all__ = ["Segment", "TabulatedTrajectory", "read_csv"]
+
+FloatArray = NDArray[np.float64]
+
+CSV_COLUMNS = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")
+_CSV_NODES = 4
+_RESOLUTION_S = 1e-6
+"""Epochs of files, and times after the scenario's epoch, are the same within this."""
+
+
+class Table(Protocol):
+    """States over time, such as `StateTable`."""
+
+    def state(self, t_s: FloatArray) -> FloatArray:
+        """States (T, 6) at times (T,)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A table with its centre and axes."""
+
+    first_s: float
+    last_s: float
+    """Usable span, seconds after the epoch."""
+    centre: str
+    """One of `simulator.mission.trajectory.CENTRES`."""
+    frame: str
+    """Axes (`simulator.mission.frames.to_frame`, or ``itrf``), in which the states are interpolated."""
+    table: Table
+    """States over seconds after the epoch."""
+
+
+@dataclass(frozen=True, eq=False)
+class TabulatedTrajectory:
+    """Segments in order of time. Where two overlap, the later one holds; between two that leave a gap, and outside of
+    all, there is no state."""
+
+    clock: Clock
+    """Epoch."""
+    centre: str
+    """Centre of the first segment, to which all states are referred."""
+    segments: tuple[Segment, ...]
+    name: str
+    """The file, for messages."""
+
+    @classmethod
+    def of(cls, segments: list[Segment], clock: Clock, name: str, centre: str | None = None) -> TabulatedTrajectory:
+        """Trajectory of at least one segment, whose spans are extended by the resolution of epochs."""
+        rounding = _RESOLUTION_S
+        wider = [replace(s, first_s=s.first_s - rounding, last_s=s.last_s + rounding) for s in segments]
+        ordered = sorted(wider, key=lambda segment: segment.first_s)
+        return cls(clock, centre or ordered[0].centre, tuple(ordered), name)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last time, seconds after the epoch."""
+        return self.segments[0].first_s, max(segment.last_s for segment in self.segments)
+
+    @property
+    def period_s(self) -> float:
+        """Period of the osculating ellipse at the epoch, or at the nearest end of the span."""
+        at = np.array([min(max(0.0, self.span_s[0]), self.span_s[1])])
+        r_km, v_km_s = self.state(at)
+        return osculating_period_s(r_km[0], v_km_s[0], GM_KM3_S2[self.centre])
+
+    def state(self, t_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Position (..., 3), km, and velocity (..., 3), km/s, ICRF axes, at seconds since the epoch, shape (...).
+
+        Raises
+        ------
+        InputError
+            Outside the span, or in a gap between segments.
+        """
+        t = np.asarray(t_s, dtype=float)
+        refuse_outside(self.clock, t, self.span_s, self.name)
+        flat, out = t.ravel(), np.full((t.size, 6), np.nan)
+        for segment in self.segments:
+            rows = np.flatnonzero((flat >= segment.first_s) & (flat <= segment.last_s))
+            if len(rows):
+                out[rows] = self._states(segment, flat[rows])
+        if np.isnan(out).any():
+            gap = float(flat[np.isnan(out[:, 0])][0])
+            before = max(s.last_s for s in self.segments if s.last_s < gap)
+            after = min(s.first_s for s in self.segments if s.first_s > gap)
+            ends = " to ".join(self.clock.isot(end) for end in (before, after))
+            raise InputError(f"{self.name}: no states from {ends} UTC, a gap between segments")
+        return out[:, :3].reshape(*t.shape, 3), out[:, 3:].reshape(*t.shape, 3)
+
+    def _states(self, segment: Segment, t_s: FloatArray) -> FloatArray:
+        found = segment.table.state(t_s)
+        r_km, v_km_s = states_to_gcrs(segment.frame, self.clock, t_s, found[:, :3], found[:, 3:])
+        out = np.concatenate([r_km, v_km_s], axis=1)
+        if segment.centre != self.centre:
+            theirs, ours = (centre_state(name, self.clock, t_s) for name in (segment.centre, self.centre))
+            out += np.concatenate([theirs.r_km - ours.r_km, theirs.v_km_s - ours.v_km_s], axis=1)
+        return out
+
+
+def read_csv(path: Path, clock: Clock, centre: str, frame: str) -> TabulatedTrajectory:
+    """Trajectory of a table with a header line.
+
+    Its columns are ``utc`` (ISO 8601) or ``t_s`` (seconds after the scenario's epoch), and `CSV_COLUMNS`; lines that
+    start with ``#`` are comments. Interpolated by Hermite's polynomial of degree 7.
+
+    Raises
+    ------
+    InputError
+        With file and line: a missing column, a value that is not a number, or times that do not ascend.
+    """
+    lines = [(n, line) for n, line in enumerate(read_text(path, "states").splitlines(), 1) if _has_data(line)]
+    header = [name.strip() for name in next(csv.reader([lines[0][1]]))] if lines else []
+    time = next((name for name in ("utc", "t_s") if name in header), "")
+    missing = [name for name in ("utc or t_s", *CSV_COLUMNS) if name not in header and (time == "" or " " not in name)]
+    if missing:
+        raise InputError(f"{path}:{lines[0][0] if lines else 1}: columns are missing: {', '.join(missing)}")
+    if len(lines) < 3:
+        raise InputError(f"{path}: has fewer than two states")
+    positions, texts = [f"{path}:{number}" for number, _ in lines[1:]], []
+    states = np.empty((len(positions), 6))
+    for k, (_, line) in enumerate(lines[1:]):
+        row = dict(zip(header, (cell.strip() for cell in next(csv.reader([line]))), strict=False))
+        if len(row) < len(header):
+            raise InputError(f"{positions[k]}: {len(row)} of {len(header)} columns; is the file truncated?")
+        texts.append(row[time])
+        states[k] = [_number(row[name], name, positions[k]) for name in CSV_COLUMNS]
+    if time == "utc":
+        t_s = elapsed_s(clock, texts, "UTC", positions)
+    else:
+        t_s = np.array([_number(text, "t_s", at) for text, at in zip(texts, positions, strict=True)])
+    if (back := np.flatnonzero(np.diff(t_s) <= 0.0)).size:
+        raise InputError(f"{positions[back[0] + 1]}: the time is not after the one before; sort the states by time")
+    table = StateTable(t_s, states, "hermite", min(_CSV_NODES, len(t_s)))
+    return TabulatedTrajectory.of([Segment(float(t_s[0]), float(t_s[-1]), centre, frame, table)], clock, str(path))
+
+
+def _has_data(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _number(text: str, name: str, position: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{position}: {name} is '{text}', which is not a finite number")
+    return value
