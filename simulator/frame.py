@@ -136,6 +136,8 @@ class FrameTruth:
     """Bodies within the baffle's exclusion angle."""
     time_tag_error_s: float = 0.0
     """Stated minus true time of mid-exposure."""
+    particles_cm2_s: float = 0.0
+    """Rate of charged particles through the surface of the detector."""
 
     @property
     def attitude_at_tag(self) -> Attitude:

@@ -165,6 +165,7 @@ class Renderer:
             mean_electrons=light.mean_e,
             excluded=light.excluded,
             time_tag_error_s=late_s,
+            particles_cm2_s=self._particles_cm2_s(moment),
         )
         return frame, truth
 
@@ -174,6 +175,10 @@ class Renderer:
             return Moment(exposure_s, scene.t_s)
         depth_um = self.detector.parameters.cosmic_rays.depth_um
         return Moment(exposure_s, scene.t_s, self.transients.particles(scene.t_s, scene.r_km, depth_um))
+
+    def _particles_cm2_s(self, moment: Moment) -> float:
+        device = (self.detector.parameters.cosmic_rays,)
+        return sum(rays.rate_cm2_s for rays in (device if moment.particles is None else moment.particles))
 
     def _streams(self, index: int) -> Streams:
         return functools.partial(_stream_of_trial, self.scenario.seed, index)

@@ -21,7 +21,7 @@ with contextlib.suppress(ImportError):
     import fcntl
 
 from numba import njit, types
-from numba.core import event, targetconfig
+from numba.core import event
 
 from startracker.compilation import expected_kernels, progress
 
@@ -129,20 +129,6 @@ def processor_clock() -> float:
     return time.process_time() - progress.processor_s
 
 
-def _option_values(options: Any) -> dict[str, Any]:
-    """All options of a compilation, as `numba.core.targetconfig.TargetConfig.values`.
-
-    numba compares them 100,000 times in the compilation of a run, and reads each of the 23 through a property.
-    """
-    if type(options) not in _defaults:
-        _defaults[type(options)] = {name: option.default for name, option in options.options.items()}
-    values: dict[str, Any] = _defaults[type(options)] | options._values
-    return values
-
-
-_defaults: dict[type, dict[str, Any]] = {}
-
-
 class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
     """Forwards events of the compiler, and suspends garbage collection.
 
@@ -199,4 +185,3 @@ def _on_disk(names: Iterable[str]) -> list[str]:
 
 
 event.register("numba:compile", _Listener())
-targetconfig.TargetConfig.values = _option_values

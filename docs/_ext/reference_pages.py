@@ -251,8 +251,11 @@ BESIDE = {
 
 
 def copied_pages() -> Pages:
-    """The changes and the results of the benchmarks."""
-    return {Path(copy).stem: (DOCS / name).read_text(encoding="utf-8") for name, copy in BESIDE.items()}
+    """The changes and the results of the benchmarks, with their links to pages as seen from the copies."""
+    return {
+        Path(copy).stem: re.sub(r"\]\((?:\.\./)*docs/", "](../../", (DOCS / name).read_text(encoding="utf-8"))
+        for name, copy in BESIDE.items()
+    }
 
 
 def link_to_copies(_app: Sphinx, docname: str, source: list[str]) -> None:

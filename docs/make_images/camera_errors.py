@@ -43,7 +43,7 @@ nodes = np.stack([a.ravel() for a in np.meshgrid(*2 * [np.linspace(20.0, 1003.0,
 moved = plane.displacement.moved(nodes, np.zeros(len(nodes))) - nodes
 arrows = ax.quiver(*nodes.T, *moved.T, color=BLUE, angles="xy", scale_units="xy", scale=0.0016, width=0.003)
 ax.quiverkey(arrows, 0.86, 1.03, 0.1, "0.1 px", labelpos="E")
-ax.set(xlim=(-60, 1084), ylim=(1084, -60), aspect="equal", xlabel="column [px]", ylabel="row [px]")
+ax.set(xlim=(-130, 1153), ylim=(1153, -130), aspect="equal", xlabel="column [px]", ylabel="row [px]")
 ax.set_title("calibration residual, 0.05 px rms", loc="left")
 
 ax = axes[0, 1]

@@ -119,7 +119,7 @@ def finish(
     path : Path
         Where the files go.
     force : bool
-        Replace what stands there.
+        Replace existing results.
 
     Returns
     -------

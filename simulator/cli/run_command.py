@@ -47,7 +47,8 @@ def main(request: RunRequest) -> int:
 
 def _refuse_unused(request: RunRequest) -> None:
     """Refuse the first option that has no effect with ``--sequence``, or without it."""
-    unused = ("trials", "workers", "dask", "resume") if request.sequence else ("frames", "step_s", "single", "animate")
+    of_sequences = ("frames", "step_s", "single", "animate", "ccsds")
+    unused = ("trials", "workers", "dask", "resume") if request.sequence else of_sequences
     for name in unused:
         value, option = getattr(request, name), f"--{name.replace('_', '-')}"
         if value is not None and value is not False:

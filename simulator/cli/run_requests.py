@@ -56,6 +56,10 @@ class RunRequest:
     animate: Annotated[
         bool, switch("--animate", "Write a GIF of the frames, and an MP4 if ffmpeg is installed.", _SEQUENCES)
     ] = False
+    ccsds: Annotated[
+        bool,
+        switch("--ccsds", "Write the trajectory as OEM, and true and estimated attitudes as AEM and ACM.", _SEQUENCES),
+    ] = False
 
 
 @dataclass(frozen=True)

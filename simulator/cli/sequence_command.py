@@ -37,6 +37,7 @@ def run_sequence_command(request: RunRequest) -> int:
             out=folder,
             single=request.single,
             animate=request.animate,
+            ccsds=request.ccsds,
             force=request.force,
             progress=progress,
         )

@@ -236,7 +236,7 @@ class _Solver:
 
         A calibrated camera is taken at its word. A field of view given by hand is good to a few per cent: a
         photograph's focal length is fitted, and only where that fails, as it needs more stars, the number is taken
-        for exact; a list of centroids the other way round. Without either everything is found out.
+        for exact; a list of centroids the other way round. Without either everything is determined.
         """
         if min(job.width, job.height) < _SMALLEST_PX:
             reason = f"{job.width}×{job.height} pixels hold no star field"

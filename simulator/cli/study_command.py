@@ -63,7 +63,7 @@ def coverage_study(
     from simulator.study.results_folder import Identity, results_folder, scenario_sha256
 
     loaded = load_scenario(scenario, set_values)
-    exclusion, sources = exclusion_of(loaded, {"sun": sun_deg, "moon": moon_deg, "earth": earth_deg})
+    exclusion = exclusion_of(loaded, {"sun": sun_deg, "moon": moon_deg, "earth": earth_deg})
     asked: dict[str, Any] = {
         "path": path,
         "rolls": rolls,
@@ -75,7 +75,7 @@ def coverage_study(
     sha256 = scenario_sha256(loaded, coverage=True, **asked)
     identity = Identity("coverage", loaded.name, loaded.seed, sha256, {"boresights": boresights})
     with results_folder(out or Path("out") / f"{loaded.name}-coverage", identity, force=force) as folder:
-        result = coverage(loaded, boresights, sources=sources, **asked)
+        result = coverage(loaded, boresights, **asked)
         write_coverage(result, loaded, folder, identity)
     print_coverage(result, open_console())
     print(f"{folder}: {', '.join(RESULT_FILES)}")

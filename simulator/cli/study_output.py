@@ -33,7 +33,7 @@ def print_coverage(result: Coverage, console: Console) -> None:
         console.print(f"  {text}")
     if stars["min"] is None:
         others = "the options --sun-deg, --moon-deg and --earth-deg set other angles"
-        console.print(f"  {everything_excluded(result.boresights, result.sources)}; {others}")
+        console.print(f"  {everything_excluded(result.boresights, result.exclusion)}; {others}")
         if result.judgement:
             print_judgement(result.judgement, console)
         return

@@ -3,7 +3,7 @@
 The levels have exponentially distributed durations with means τ_low and τ_high. Such a process is the same as one in
 which, at the events of a Poisson process of rate 1/τ_low + 1/τ_high, the level is drawn again, the upper one with the
 probability τ_high / (τ_low + τ_high): the rates of leaving the levels are then 1/τ_low and 1/τ_high (uniformisation of
-a Markov chain; Ross 2014, *Introduction to Probability Models*, section 6.7). The level at an instant is therefore that
+a Markov chain; Ross 2014, *Introduction to Probability Models*, chapter 6). The level at an instant is therefore that
 of the last event before it, and is found without the history of the device: time is divided into cells, each with its
 own random stream, and the cells are searched backwards. Frames of a sequence are correlated as they should be, in any
 order and on any number of workers.
@@ -26,6 +26,9 @@ FloatArray = NDArray[np.float64]
 
 _FIRST_CELL = 2**40
 """Cell of the epoch: the index of a random stream cannot be negative, and times before the epoch have cells too."""
+_EVENTS_PER_CELL = 2.0
+_POISSON = np.cumsum([math.exp(-_EVENTS_PER_CELL) * _EVENTS_PER_CELL**n / math.factorial(n) for n in range(24)])
+"""Probability of up to n events in a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,21 +44,22 @@ class TelegraphPixels:
 
     def is_high(self, t_s: float) -> NDArray[np.bool_]:
         """(N,): Pixels in the upper level at a time, seconds after the epoch."""
-        process = self.process
-        rate = 1.0 / process.low_s + 1.0 / process.high_s
-        cell_s = 1.0 / rate
-        cell = math.floor(t_s / cell_s)
-        within = t_s / cell_s - cell
-        high = np.zeros(len(self.pixels), dtype=bool)
-        open_ = np.arange(len(self.pixels))
+        process, size = self.process, len(self.pixels)
+        cell_s = _EVENTS_PER_CELL / (1.0 / process.low_s + 1.0 / process.high_s)
+        cell = first = math.floor(t_s / cell_s)
+        high, open_ = np.zeros(size, dtype=bool), np.arange(size)
         while open_.size:
             rng = stream(self.seed, "telegraph_cell", _FIRST_CELL + cell)
-            events = rng.poisson(1.0, size=len(self.pixels))
-            last, level = _last_events(events, rng, process.high_share, within)
-            found = last[open_]
+            number, level = rng.random(size), rng.random(size) < process.high_share  # of the last event of the cell
+            if cell == first:
+                counts = np.searchsorted(_POISSON, number, side="right")
+                some, level = _last_before(t_s / cell_s - cell, counts, level, rng, process.high_share)
+            else:
+                some = number >= _POISSON[0]
+            found = some[open_]
             high[open_[found]] = level[open_[found]]
             open_ = open_[~found]
-            cell, within = cell - 1, 1.0
+            cell -= 1
         return high
 
     def without(self, dead: NDArray[np.bool_]) -> TelegraphPixels:
@@ -89,18 +93,29 @@ def telegraph_pixels(detector: DetectorParameters, dark_factor: float, seed: int
     return TelegraphPixels(chosen, rng.exponential(process.dark_e_s * dark_factor, len(chosen)), process, seed)
 
 
-def _last_events(
-    events: NDArray[np.int64], rng: np.random.Generator, high_share: float, within: float
+def _last_before(
+    within: float,
+    counts: NDArray[np.int64],
+    last: NDArray[np.bool_],
+    rng: np.random.Generator,
+    high_share: float,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Whether each pixel has an event in the first part `within` of a cell, and the level of the last of these."""
-    owner = np.repeat(np.arange(len(events)), events)
-    times, levels = rng.random(owner.size), rng.random(owner.size) < high_share
-    kept = times < within
-    owner, times, levels = owner[kept], times[kept], levels[kept]
-    order = np.lexsort((times, owner))
-    owner, levels = owner[order], levels[order]
-    final = np.append(owner[1:] != owner[:-1], True) if owner.size else np.zeros(0, dtype=bool)
-    has, level = np.zeros(len(events), dtype=bool), np.zeros(len(events), dtype=bool)
-    has[owner[final]] = True
-    level[owner[final]] = levels[final]
-    return has, level
+    """Whether each pixel has an event in the first part `within` of a cell, and the level of the last of these.
+
+    The times of n events, evenly distributed over the cell, are drawn from the last to the first: the latest of n is
+    the n-th root of a uniform deviate times the time of its successor. `last` is the level of the latest event. The
+    random numbers do not depend on `within`.
+    """
+    some, level = np.zeros(len(counts), dtype=bool), np.zeros(len(counts), dtype=bool)
+    pixels = np.flatnonzero(counts)
+    left, now = counts[pixels], last[pixels]
+    times = np.ones(len(pixels))
+    while pixels.size:
+        times = times * rng.random(pixels.size) ** (1.0 / left)
+        inside = (times < within) & ~some[pixels]
+        some[pixels[inside]] = True
+        level[pixels[inside]] = now[inside]
+        more = left > 1
+        pixels, left, times = pixels[more], left[more] - 1, times[more]
+        now = rng.random(pixels.size) < high_share
+    return some, level

@@ -3,7 +3,7 @@
 The maps give the omnidirectional flux by McIlwain's L and B/B₀, which must be computed with the field for which they
 were made: that of Jensen & Cain (1962) for epoch 1960, and for AP-8 at solar maximum GSFC 12/66 for 1970. With today's
 weaker field the flux at low altitude comes out several times too large. As the South Atlantic Anomaly has since drifted
-to the west by 0.3° a year, positions are rotated to the east by the drift since that epoch, as in UNILIB and SPENVIS.
+to the west by 0.3° a year, positions are rotated to the east by the drift since that epoch, as UNILIB does.
 
 Maps and fields come from IRBEM through the package aep8.
 """

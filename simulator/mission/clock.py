@@ -81,8 +81,9 @@ class Clock:
         utc1, utc2, _ = erfa.ufunc.taiutc(tai1, tai2)
         return utc1, utc2
 
-    def isot(self, t_s: float) -> str:
-        """UTC as ISO 8601 without a zone, rounded to milliseconds; a leap second is written as second 60."""
-        year, month, day, fields, _ = erfa.ufunc.d2dtf("UTC", 3, *self.utc_jd(t_s))
-        hour, minute, second, millisecond = (int(fields[name]) for name in ("h", "m", "s", "f"))
-        return f"{year:04d}-{month:02d}-{day:02d}T{hour:02d}:{minute:02d}:{second:02d}.{millisecond:03d}"
+    def isot(self, t_s: float, digits: int = 3) -> str:
+        """UTC as ISO 8601 without a zone, rounded to milliseconds or to a number of decimals of a second; a leap second
+        is written as second 60."""
+        year, month, day, fields, _ = erfa.ufunc.d2dtf("UTC", digits, *self.utc_jd(t_s))
+        hour, minute, second, part = (int(fields[name]) for name in ("h", "m", "s", "f"))
+        return f"{year:04d}-{month:02d}-{day:02d}T{hour:02d}:{minute:02d}:{second:02d}.{part:0{digits}d}"

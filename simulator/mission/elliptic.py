@@ -30,7 +30,7 @@ class EllipticOrbit:
     where x, y, ẋ, ẏ are those of two bodies (`simulator.mission.kepler.perifocal`). As in `J2Orbit`, which this equals
     for e = 0, the velocity omits the cross-track term Ω̇ sin i, and the short-period terms of J2 are neglected, so that
     plane and ellipse are the mean ones; J3, J4, drag, Sun and Moon are neglected as well. A position around the Earth
-    is accurate to some 20 km near the epoch; a Molniya orbit, on which Sun and Moon act, to some 10 km in a day."""
+    is accurate to some 20 km near the epoch; over a day of a Molniya orbit to 6 km, for elements fitted to it."""
 
     elements: Elements
     """Mean elements at the epoch; without `j2` osculating ones, which are constant."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
 from startracker.errors import InputError
 
-__all__ = ["Elements", "eccentric_anomaly", "elements_of", "perifocal", "secular_rates"]
+__all__ = ["Elements", "eccentric_anomaly", "elements_of", "periapsis_km", "perifocal", "secular_rates"]
 
 FloatArray = NDArray[np.float64]
 
@@ -117,6 +117,14 @@ def elements_of(r_km: ArrayLike, v_km_s: ArrayLike, gm_km3_s2: float) -> Element
     anomaly = math.atan2(math.sqrt(1.0 - e * e) * math.sin(true), e + math.cos(true))
     turn = 2.0 * math.pi
     return Elements(a, e, inclination, node % turn, periapsis % turn, (anomaly - e * math.sin(anomaly)) % turn)
+
+
+def periapsis_km(r_km: ArrayLike, v_km_s: ArrayLike, gm_km3_s2: float) -> float:
+    """Distance of the periapsis of a state (3,) on any conic: h²/μ / (1 + e); 0 for a fall to the centre."""
+    r, v = np.asarray(r_km, dtype=float), np.asarray(v_km_s, dtype=float)
+    momentum = np.cross(r, v)
+    eccentricity = np.cross(v, momentum) / gm_km3_s2 - r / np.linalg.norm(r)
+    return float(momentum @ momentum / gm_km3_s2 / (1.0 + np.linalg.norm(eccentricity)))
 
 
 def secular_rates(elements: Elements, gm_km3_s2: float) -> tuple[float, float, float]:

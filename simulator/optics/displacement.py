@@ -6,7 +6,7 @@ Calibration residual
         d = Σ c_mn √(2m + 1) P_m(u) √(2n + 1) P_n(v),   m + n ≤ order,   u, v from −1 to 1 across the detector,
 
     with normal coefficients of equal variance on both axes. Everything that a calibration fits is projected out: any
-    affine map (principal point, focal lengths, rotation, skew), the tilt of the camera, the radial terms r² and r⁴, and
+    affine map (principal point, focal lengths, rotation, skew), the tilt of the camera, the radial terms r² to r⁶, and
     the tangential ones (Brown 1966, Photogrammetric Engineering 32, 444). The rest is scaled to the stated rms,
     exactly.
 Lateral colour
@@ -41,8 +41,8 @@ FloatArray = NDArray[np.float64]
 C_LINE_NM, F_LINE_NM = 656.27, 486.13
 """Fraunhofer lines between which lateral colour is stated, hydrogen α and β."""
 
-_ABSORBED_DEGREE = 5
-"""Highest degree of the terms that a calibration fits: r⁴ times the position."""
+_ABSORBED_DEGREE = 7
+"""Highest degree of the terms that a calibration fits: r⁶ times the position."""
 _GRID = 33
 _MARGIN = 1.5
 _BAND_NM = 500.0
@@ -177,14 +177,14 @@ def draw_residual(camera: Camera, parameters: CalibrationResidual, rng: np.rando
 
 
 def _absorbed(camera: Camera, degree: int) -> FloatArray:
-    """Coefficients (12, 2, N, N) of the displacements that a calibration fits, by Gauss–Legendre quadrature."""
+    """Coefficients (13, 2, N, N) of the displacements that a calibration fits, by Gauss–Legendre quadrature."""
     nodes, weights = leggauss(degree + 2)  # exact up to twice the degree
     u, v = np.meshgrid(nodes, nodes, indexing="ij")
     x = (0.5 * ((u + 1.0) * camera.width - 1.0) - camera.cx) / camera.fx
     y = (0.5 * ((v + 1.0) * camera.height - 1.0) - camera.cy) / camera.fy
     square, zero, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)
     terms = [(one, zero), (zero, one), (x, zero), (y, zero), (zero, x), (zero, y)]
-    terms += [(square * x, square * y), (square**2 * x, square**2 * y)]
+    terms += [(square**power * x, square**power * y) for power in (1, 2, 3)]
     terms += [(2.0 * x * y, square + 2.0 * y * y), (square + 2.0 * x * x, 2.0 * x * y), (x * x, x * y), (x * y, y * y)]
     along = _normalised(nodes, degree) * (0.5 * weights)[:, None]
     focal = np.array([camera.fx, camera.fy])

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from simulator.constants import EARTH_RADIUS_KM
+from simulator.mission.kepler import periapsis_km
 from simulator.mission.parameters import FILES
+from simulator.mission.trajectory import GM_KM3_S2
 from simulator.scenario.errors import Violation, impossible, unphysical
 
 LOWEST_KM = 150.0
 _RADIUS_KM = {"Earth": EARTH_RADIUS_KM, "Moon": 1737.4, "Sun": 695_700.0}
+_INFLUENCE_KM = {"Earth": 925_000.0, "Moon": 66_100.0, "Sun": math.inf}
+"""Spheres of influence, within which a state is near a conic: a (m/M)^(2/5)."""
 _GIVEN_BY = {"elements": "elements.semi_major_axis_km", "state": "state.position_km"}
 
 
@@ -51,12 +56,16 @@ def _propagator(v: Mapping[str, Any], source: str) -> Iterator[Violation]:
 
 
 def _periapsis(v: Mapping[str, Any]) -> Iterator[Violation]:
-    a_km, eccentricity = v["orbit.elements.semi_major_axis_km"], v["orbit.elements.eccentricity"]
-    if a_km is None:
+    """An orbit by elements or by a state must pass above the surface of its centre."""
+    centre, a_km = v["orbit.centre"], v["orbit.elements.semi_major_axis_km"]
+    position, velocity = v["orbit.state.position_km"], v["orbit.state.velocity_km_s"]
+    if a_km is not None:
+        key, least_km = "elements.semi_major_axis_km", a_km * (1.0 - v["orbit.elements.eccentricity"])
+    elif position is not None and velocity is not None and 0.0 < math.hypot(*position) < _INFLUENCE_KM[centre]:
+        key, least_km = "state.velocity_km_s", periapsis_km(position, velocity, GM_KM3_S2[centre])
+    else:
         return
-    centre = v["orbit.centre"]
-    height_km = a_km * (1.0 - eccentricity) - _RADIUS_KM[centre]
+    height_km = least_km - _RADIUS_KM[centre]
     if height_km < (LOWEST_KM if centre == "Earth" else 0.0):
         where = "within the atmosphere or the Earth" if centre == "Earth" else "below the surface"
-        message = f"the periapsis is at a height of {height_km:.0f} km, {where}; increase it or reduce the eccentricity"
-        yield unphysical("orbit.elements.semi_major_axis_km", message)
+        yield unphysical(f"orbit.{key}", f"the periapsis is at a height of {height_km:.0f} km, {where}; raise it")

@@ -68,7 +68,7 @@ def planet_v(name: str, from_sun_au: FloatArray, from_observer_au: FloatArray, e
     -----
     Outside the observed ranges of phase angle (Mercury 2° to 170°, Venus 2° to 179°, Saturn to 6.5°) the formulae are
     extrapolated; near the Earth this only occurs for the two inner planets close to the Sun. From elsewhere outer
-    planets are seen at phases never observed from the Earth, where their magnitudes are estimates.
+    planets are seen at phases that do not occur from the Earth, where their magnitudes are extrapolated.
     """
     r, delta = np.linalg.norm(from_sun_au, axis=-1), np.linalg.norm(from_observer_au, axis=-1)
     sun_ray, sight = from_sun_au / r[..., None], from_observer_au / delta[..., None]

@@ -87,8 +87,9 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
     """Whether an accepted attitude is wrong.
 
     It is wrong if a star is misidentified, or if the error contradicts the stated covariance (`WRONG_NEES`) and is not
-    explained by noise (`WRONG_BOUNDS`). The second condition alone would call a noisy attitude with a correct
-    covariance wrong, the first one alone an accurate attitude whose covariance is a little too small.
+    explained by noise or by known systematic errors (`WRONG_BOUNDS`). The second condition alone would call a noisy
+    attitude with a correct covariance wrong, the first one alone an accurate attitude whose covariance is a little too
+    small.
 
     Parameters
     ----------
@@ -97,8 +98,8 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
     nees : float
         Error squared, normalised by the stated covariance; NaN without one.
     error_deg, bound_deg : array_like, shape (3,)
-        Error and Cramér–Rao bound about the camera's axes. For an axis without a bound (NaN) no error is explained by
-        noise.
+        Error about the camera's axes, and the Cramér–Rao bound of the noise together with what displaced star images
+        explain (`simulator.study.trials.systematic`). For an axis without a bound (NaN) no error is explained.
     """
     if misidentified > 0:
         return True

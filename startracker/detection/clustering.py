@@ -48,7 +48,7 @@ def find_clusters(
     else it becomes a new cluster (Yee 1999, section 2.2). Two things that its section 5.2 asks for are added: τ adapts,
     to the frame (`adaptive_radius`) in place of trial and error and, growing as √n with the pixels that a cluster has,
     to each star; and clusters whose centres end up within τ of one another, as one star met on two sides does, are
-    merged. A `cluster_radius_px` of one's own is kept as it is. Those of fewer than `min_pixels` are dropped (Yee
+    merged. A `cluster_radius_px` that is given is used unchanged. Those of fewer than `min_pixels` are dropped (Yee
     1999: 10).
 
     Parameters

@@ -160,8 +160,8 @@ def spenvis(request):
 
 def test_proton_dose_falls_with_depth_as_in_shieldose(spenvis):
     """Ratio to SPENVIS relative to that at 3 mm: 4 % from 1 to 20 mm (no nuclear reactions), 10 % at 0.5 mm (low
-    energies, where the maps are steep). The ratio itself, 0.6 to 0.8, comes from the maps at their lower edge, which
-    SPENVIS interpolates in another way; it is within the factor of 2 of the models."""
+    energies, where the maps are steep). The ratio itself, 0.63 to 0.75, is the same at all depths, and so belongs to
+    the fluxes at the lower edge of the maps and not to the transport; it is within the factor of 2 of the models."""
     ratios = {mm: minimum.protons_krad / protons for mm, _, protons, _, minimum in spenvis}
     assert 0.5 < ratios[3.0] < 1.0
     for mm, ratio in ratios.items():

@@ -1,5 +1,5 @@
 """Ephemeris files against independent readers and writers: SpiceyPy (NAIF's CSPICE) for SPK, the packages ``oem``
-(KVN and XML, with its own interpolation) and ``ccsds-ndm`` (XML by the schema of CCSDS) for OEM, Skyfield for frames.
+(KVN and XML, with its own interpolation) and ``ccsds-ndm-py`` (OEM, AEM and ACM), Skyfield for frames.
 
 Tolerances: SpiceyPy reads the same doubles with the same polynomials, so that 1e-12 is left for their rounding.
 """
@@ -7,25 +7,28 @@ Tolerances: SpiceyPy reads the same doubles with the same polynomials, so that 1
 import math
 from datetime import UTC, datetime
 
+import ccsds_ndm
 import numpy as np
 import oem as oem_package
 import pytest
 import spiceypy
 from astropy.time import Time, TimeDelta
-from ccsds_ndm.ndm_io import NDMFileFormats, NdmIo
 from skyfield.api import load
 from skyfield.framelib import ICRS_to_J2000, itrs
 from skyfield.positionlib import Geocentric
 from skyfield.sgp4lib import TEME
 
+from simulator import Scenario
+from simulator.build import build_orbit
 from simulator.mission.clock import Clock
 from simulator.mission.elliptic import EllipticOrbit
-from simulator.mission.epochs import tdb_seconds
+from simulator.mission.epochs import elapsed_s, tdb_seconds
 from simulator.mission.frames import states_to_gcrs, to_frame
 from simulator.mission.interpolation import StateTable
 from simulator.mission.kepler import Elements
 from simulator.mission.oem import read_oem
 from simulator.mission.spk import read_spk
+from simulator.study.sequence.run import run_sequence
 from startracker.constants import AU_KM
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
@@ -154,9 +157,9 @@ def test_oem_as_other_packages_read_and_write_it(form, interpolation, degree, tm
     if form == "xml":  # written by oem
         given = tmp_path / "craft.xml"
         message.save_as(str(given), file_format="xml")
-    elif form == "ndm":  # written by ccsds-ndm
+    elif form == "ndm":  # written by ccsds-ndm-py
         given = tmp_path / "craft_ndm.xml"
-        NdmIo().to_file(NdmIo().from_path(str(path)), NDMFileFormats.XML, str(given))
+        given.write_text(ccsds_ndm.from_file(str(path)).to_str("xml"))
     trajectory = read_oem(given, CLOCK, None)
     t_s = np.linspace(0.0, T_S[-1], 37)
     r, v = trajectory.state(t_s)
@@ -176,6 +179,24 @@ def test_oem_at_its_own_states(tmp_path):
         assert np.abs(found - np.round(states(T_S), 9)).max() < 1e-9 + 1e-8 * 9.0
 
 
+@pytest.mark.parametrize("form", ["kvn", "xml", "crlf"])
+def test_accelerations_and_covariances_are_read_over(form, tmp_path):
+    """A message of 9 columns with a covariance after each segment gives the states of one without."""
+    path = tmp_path / "craft.oem"
+    rows = np.concatenate([states(T_S), np.zeros((len(T_S), 3))], axis=1)
+    covariance = "\n".join(" ".join(["1.0e-6"] * k) for k in range(1, 7))
+    block = f"COVARIANCE_START\nEPOCH = {CLOCK.isot(0.0)}\n{covariance}\nCOVARIANCE_STOP\n"
+    text = oem_text(T_S, rows) + block
+    path.write_text(text)
+    if form == "xml":
+        oem_package.OrbitEphemerisMessage.open(str(path)).save_as(str(path), file_format="xml")
+        assert "covarianceMatrix" in path.read_text()
+    elif form == "crlf":
+        path.write_bytes(text.replace("\n", "\r\n").encode())
+    found = np.concatenate(read_oem(path, CLOCK, None).state(T_S), axis=1)
+    assert np.abs(found - np.round(states(T_S), 9)).max() < 1e-9 + 1e-8 * 9.0
+
+
 @pytest.mark.parametrize(("method", "nodes", "order"), [("hermite", 4, 8), ("hermite", 3, 6), ("lagrange", 6, 6)])
 def test_interpolation_converges_at_its_order(method, nodes, order):
     errors = []
@@ -188,7 +209,29 @@ def test_interpolation_converges_at_its_order(method, nodes, order):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
 
 
-# ---------------------------------------------------------------- frames
+# ---------------------------------------------------------------- epochs and frames
+@pytest.mark.parametrize("scale", ["UTC", "TAI", "TT", "TDT", "TDB", "GPS"])
+def test_epochs_against_astropy(scale):
+    """Across the leap second at the end of 2016, by calendar and by day of year. Both use ERFA; 1 ns is the rounding of
+    seconds in a float of some years."""
+    texts = [
+        "2016-12-31T23:59:59.5",
+        "2017-01-01T00:00:00.25",
+        "2024-060T12:00:01.125",
+        "2026-03-21T12:00:00.000000001",
+    ]
+    if scale == "UTC":
+        texts.append("2016-12-31T23:59:60.75")
+    clock = Clock(datetime(2016, 12, 31, 12, tzinfo=UTC))
+    found = elapsed_s(clock, texts, scale, ["f:1"] * len(texts))
+    calendar = [text.replace("2024-060", "2024-02-29") for text in texts]
+    offset_s = 19.0 if scale == "GPS" else 0.0
+    name = {"TDT": "tt", "GPS": "tai"}.get(scale, scale.lower())
+    times = Time(calendar, scale=name, format="isot").tt
+    start = Time("2016-12-31T12:00:00", scale="utc").tt
+    np.testing.assert_allclose(found, (times - start).sec + offset_s, rtol=0, atol=7e-8 if scale != "TDB" else 3e-6)
+
+
 def test_frames_of_files_against_skyfield():
     """1 mas is 4.85e-9 rad: 4.4e-5 km at 9000 km. ITRS by Skyfield with its own table of UT1, without polar motion; its
     velocities are those in the rotating frame."""
@@ -214,3 +257,51 @@ def test_j2000_against_skyfield():
     bias = to_frame("eme2000", CLOCK, 0.0)
     assert np.abs(bias - ICRS_to_J2000).max() < 0.1 * 4.85e-9
     assert 22.0 < np.degrees(np.arccos((np.trace(bias) - 1.0) / 2.0)) * 3.6e6 < 24.5
+
+
+# ---------------------------------------------------------------- out
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory):
+    scenario = Scenario.load(
+        "molniya", overrides=["sequence.frames=6", "sequence.step_s=60.125", "tracker.prior=false"]
+    )
+    return run_sequence(scenario, out=tmp_path_factory.mktemp("out") / "s", ccsds=True)
+
+
+def test_trajectory_of_a_sequence_in_an_oem(sequence):
+    """Read by ``oem``, ``ccsds-ndm-py`` and ourselves: the written decimals, 1e-9 km, and between them the
+    interpolation, whose error is 7e3 km × (n h)⁸/8! with n h = 0.08: 1e-9 km."""
+    path = sequence.folder / "trajectory.oem"
+    orbit, t_s = build_orbit(sequence.scenario), sequence.columns["t_s"]
+    message = oem_package.OrbitEphemerisMessage.open(str(path))
+    for state, r, v in zip(message.states, *orbit.state(t_s), strict=True):
+        assert np.abs(state.position - r).max() < 1e-9
+        assert np.abs(state.velocity - v).max() < 1e-12
+    assert len(ccsds_ndm.from_file(str(path)).segments[0].data.state_vector) == 6
+    ours = read_oem(path, orbit.clock, None)
+    assert ours.span_s == pytest.approx((t_s[0], t_s[-1]), abs=2e-6)
+    between = (t_s[:-1] + t_s[1:]) / 2.0
+    # epochs of 9 decimals, and seconds in a float of days: 1e-8 s at 10 km/s
+    assert np.abs(np.array(ours.state(between)) - orbit.state(between)).max() < 2e-7
+
+
+def test_attitudes_of_a_sequence_in_aem_and_acm(sequence):
+    """Read by ``ccsds-ndm-py``; the quaternion's coordinate transformation, M = (qc² − q²) I + 2 q qᵀ − 2 qc [q×]
+    (Wertz 1978, eq. 12-13), takes vectors from ICRF to the camera."""
+    columns = sequence.columns
+    attitudes = {}
+    for name, prefix in (("true", "true_"), ("estimated", "")):
+        message = ccsds_ndm.from_file(str(sequence.folder / f"{name}.aem"))
+        attitudes[name] = [np.array(state.values) for state in message.segments[0].data.attitude_states]
+        ra, dec = np.radians(columns[f"{prefix}ra_deg"]), np.radians(columns[f"{prefix}dec_deg"])
+        for k, q in enumerate(attitudes[name]):
+            cross = np.cross(np.eye(3), q[:3])  # rows are e × q: the matrix −[q×]
+            matrix = (q[3] ** 2 - q[:3] @ q[:3]) * np.eye(3) + 2 * np.outer(q[:3], q[:3]) - 2 * q[3] * -cross.T
+            along = [np.cos(dec[k]) * np.cos(ra[k]), np.cos(dec[k]) * np.sin(ra[k]), np.sin(dec[k])]
+            np.testing.assert_allclose(matrix[2], along, rtol=0, atol=1e-13)
+    assert len(attitudes["true"]) == 6
+    message = ccsds_ndm.from_file(str(sequence.folder / "estimated.acm"))
+    found = np.array([list(line) for line in message.segment.data.cov[0].cov_lines])
+    np.testing.assert_allclose(found[:, 0], columns["t_s"] - columns["t_s"][0], rtol=0, atol=1e-9)
+    sigma = [columns[f"sigma_{axis}_deg"] for axis in ("cross_x", "cross_y", "about_boresight")]
+    np.testing.assert_allclose(np.sqrt(found[:, 1:]), np.transpose(sigma), rtol=1e-9)

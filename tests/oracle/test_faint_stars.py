@@ -15,7 +15,7 @@ from scipy.special import erf
 
 from simulator import Renderer, Scenario
 from simulator.sky.background import GALACTIC, star_contrast, starlight_s10
-from simulator.sky.faint_stars import FaintSky
+from simulator.sky.faint_stars import FaintSky, StarField
 from simulator.sky.spectra import SOLAR_B_V
 from simulator.sky.star_counts import count_between, draw_magnitudes, light_between_s10
 from startracker import Attitude
@@ -144,6 +144,33 @@ def test_the_grain_of_a_frame_is_that_of_campbell():
     # 4 × 165 square degrees hold N = 7,000 stars: 1/√N = 1.2 % of the mean and, with ⟨F⁴⟩/⟨F²⟩² = 1.3, 1.4 % of the
     # variance; the solid angle of a pixel falls by 2 % on average, the step from cell to cell is as large
     np.testing.assert_allclose(total, predicted, rtol=0.08)
+
+
+class OneStar:
+    """A faint sky of one star."""
+
+    def __init__(self, direction):
+        self.direction = direction
+
+    def near(self, direction, radius_rad, shift_rad):
+        return StarField(self.direction[None], np.array([5.0]))
+
+
+@pytest.mark.parametrize("aberration", [True, False])
+def test_they_appear_where_a_catalogue_star_would(aberration):
+    """The aberration of a direction u is v/c less its part along u, to v²/c² (1e-8): some 20″ of the 45″ of a pixel."""
+    keys = [*DARK, "sky.magnitude_limit=-2", f"sky.aberration={str(aberration).lower()}"]
+    renderer = Renderer(Scenario.load("cubesat", keys))
+    attitude = Attitude.from_radec_roll(80.0, 15.0, 30.0)
+    star = radec_to_direction(np.radians([80.4]), np.radians([15.6]))[0]
+    renderer.focal_plane = replace(renderer.focal_plane, faint_sky=OneStar(star))
+    frame, truth = renderer.frame(0, at_s=0.0, attitude=attitude, rate_camera_rad_s=np.zeros(3))
+    moved = star + aberration * np.asarray(frame.observer.velocity_km_s) / 299_792.458
+    expected = frame.camera.project(attitude.apply(moved / np.linalg.norm(moved)))[0]
+    image = truth.mean_electrons
+    rows, columns = np.indices(image.shape)
+    seen = np.array([(image * columns).sum(), (image * rows).sum()]) / image.sum()
+    np.testing.assert_allclose(seen, expected, atol=1e-3)
 
 
 def test_they_are_background_and_not_truth():

@@ -9,9 +9,12 @@ from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 
+import ccsds_ndm
 import numpy as np
 import pytest
+import sgp4.omm
 from sgp4.api import WGS72, Satrec
+from sgp4.exporter import export_omm
 from skyfield.api import EarthSatellite, load
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_KM, EARTH_ZONALS
@@ -19,13 +22,13 @@ from simulator.mission import forces, frames
 from simulator.mission.clock import Clock
 from simulator.mission.elliptic import EllipticOrbit
 from simulator.mission.forces import acceleration
-from simulator.mission.kepler import Elements, eccentric_anomaly, elements_of
-from simulator.mission.mean_elements import read_tle
+from simulator.mission.kepler import Elements, eccentric_anomaly, elements_of, periapsis_km
+from simulator.mission.mean_elements import read_omm, read_tle
 from simulator.mission.numerical import NumericalOrbit
 from simulator.mission.orbit import build_orbit
 from simulator.mission.parameters import ForceModel, KeplerianElements, OrbitParameters, StateVector
 from simulator.mission.trajectories import build_trajectory
-from simulator.mission.trajectory import GM_KM3_S2, centre_state
+from simulator.mission.trajectory import GM_KM3_S2, centre_state, from_earth
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 DAY_S = 86_400.0
@@ -71,6 +74,14 @@ def test_forty_minutes_of_vallado_2_4():
         r, v = orbit.state(2400.0)
         np.testing.assert_allclose(r, expected[0], rtol=0, atol=0.5e-4)
         np.testing.assert_allclose(v, expected[1], rtol=0, atol=0.5e-6)
+
+
+def test_periapsis_of_any_conic():
+    elements = Elements(26_600.0, 0.74, 1.1, 2.2, 3.3, 4.4)
+    orbit = EllipticOrbit(elements, Clock(EPOCH), frame="icrf", j2=False)
+    assert periapsis_km(*orbit.state(1e4), EARTH_GM_KM3_S2) == pytest.approx(26_600.0 * 0.26, rel=1e-13)
+    at_periapsis = [7000.0, 0.0, 0.0], [0.0, 12.0, 0.0]  # faster than escape, 10.7 km/s
+    assert periapsis_km(*at_periapsis, EARTH_GM_KM3_S2) == pytest.approx(7000.0, rel=1e-13)
 
 
 @pytest.mark.parametrize("eccentricity", [0.0, 1e-3, 0.3, 0.74])
@@ -221,7 +232,7 @@ def test_integration_forwards_and_back_and_in_any_order():
     np.testing.assert_array_equal(back.state(1e4), orbit.state(1e4))
 
 
-# ---------------------------------------------------------------- two-line elements
+# ---------------------------------------------------------------- mean elements
 def sets_of_verification():
     lines = [line for line in VERIFICATION.read_text().splitlines() if line[:2] in ("1 ", "2 ")]
     return [(first, second[:69]) for first, second in zip(lines[::2], lines[1::2], strict=True)]
@@ -257,3 +268,54 @@ def test_sgp4_to_a_millimetre_and_frames_to_a_milliarcsecond(lines, tmp_path):
     there = EarthSatellite.from_satrec(satellite, TIMESCALE).at(TIMESCALE.tt_jd(*clock.tt_jd(t_s)))
     apart = np.linalg.norm(r - there.position.km.T, axis=1) / np.linalg.norm(r, axis=1)
     assert apart.max() < 4.85e-9
+
+
+def test_the_same_motion_from_two_centres(monkeypatch):
+    """A spacecraft near L2 for 30 days, relative to the Earth and relative to the Sun, with the same bodies. The Earth
+    moves in DE421 with relativity, 4 GM/(c² r) of the Sun's attraction or 2.3e-13 km/s², which the spacecraft lacks in
+    the second: 0.79 km in 30 days. Without the planets in the first, Jupiter's tide of 1e-12 km/s² is added."""
+    everything = ("Mercury", "Venus", "Mars", "Jupiter", "Saturn", "Uranus", "Neptune")
+    clock = Clock(EPOCH)
+    earth, sun = (centre_state(name, clock, 0.0) for name in ("Earth", "Sun"))
+    away = (earth.r_km - sun.r_km) / np.linalg.norm(earth.r_km - sun.r_km)
+    ahead = earth.v_km_s - sun.v_km_s
+    start = np.concatenate([1.5e6 * away + [0.0, 0.0, 2e5], 0.01 * ahead])
+    t_s = np.linspace(0.0, 30.0, 7) * DAY_S
+
+    def relative_to_earth():
+        model = ForceModel(zonal_degree=0)
+        around_earth = NumericalOrbit(clock, start, "Earth", model, UNBOUNDED)
+        from_sun = start + np.concatenate([earth.r_km - sun.r_km, earth.v_km_s - sun.v_km_s])
+        around_sun = NumericalOrbit(clock, from_sun, "Sun", model, UNBOUNDED)
+        return around_earth.state(t_s)[0] - from_earth(around_sun, t_s, *around_sun.state(t_s)).r_km
+
+    without_planets = np.linalg.norm(relative_to_earth(), axis=1)
+    monkeypatch.setitem(forces.BODIES, "Earth", (*forces.BODIES["Earth"], *everything))
+    with_planets = np.linalg.norm(relative_to_earth(), axis=1)
+    assert with_planets.max() < 0.85
+    assert 1.5 < without_planets.max() < 5.0
+
+
+@pytest.mark.parametrize("form", ["kvn", "xml"])
+def test_omm_against_python_sgp4(form, tmp_path):
+    """An OMM written from a published set: python-sgp4 reads its XML, ``ccsds-ndm-py`` writes that; ours reads both."""
+    lines = next(s for s in sets_of_verification() if s[0][2:7] == "08195")
+    satellite = Satrec.twoline2rv(*lines, WGS72)
+    fields = omm_fields(satellite)
+    text = "\n".join(["CCSDS_OMM_VERS = 2.0", *(f"{key} = {value}" for key, value in fields.items())]) + "\n"
+    path = tmp_path / "set.omm"
+    path.write_text(text if form == "kvn" else ccsds_ndm.from_str(text).to_str("xml"))
+    orbit = read_omm(path, Clock(datetime(2006, 6, 25, 9, tzinfo=UTC)), 8195, 30.0)
+    t_s = np.linspace(0.0, 3.0, 20) * DAY_S
+    record = Satrec()
+    sgp4.omm.initialize(record, fields)
+    jd1, jd2 = orbit.clock.utc_jd(t_s)
+    _, r_teme, _ = record.sgp4_array(np.asarray(jd1) + 0.0 * t_s, np.asarray(jd2) + 0.0 * t_s)
+    found = np.einsum("nij,nj->ni", frames.teme(orbit.clock, t_s), orbit.state(t_s)[0])
+    assert np.abs(found - r_teme).max() < 1e-6
+
+
+def omm_fields(satellite):
+    exported = {key: str(value) for key, value in export_omm(satellite, "MOLNIYA 2-14").items()}
+    head = {"CREATION_DATE": "2006-06-25T00:00:00", "ORIGINATOR": "TEST"}
+    return head | {key: value for key, value in exported.items() if key not in head}

@@ -184,3 +184,28 @@ def test_local_level_refers_to_the_centre():
     assert down @ scene.sun_direction == pytest.approx(1.0, abs=1e-9)  # sun_direction is geometric
     ra, _ = direction_to_radec(scene.pointing.camera.boresight)
     assert math.isfinite(ra)
+
+
+def test_a_month_near_the_second_lagrange_point():
+    """Seen from L2 the Earth is a body close to the Sun, 0.24° in radius, mostly dark, and the frame is solved as any
+    other; the spacecraft stays near the Sun–Earth line for a month."""
+    scenario = Scenario.load("cubesat")
+    earth, sun = (centre_state(name, build_scenes(scenario).clock, 0.0) for name in ("Earth", "Sun"))
+    away = (earth.r_km - sun.r_km) / np.linalg.norm(earth.r_km - sun.r_km)
+    # at rest in the frame that turns with the Earth, 200,000 km off the ecliptic
+    position, velocity = 1.5e6 * away + [0.0, 0.0, 2e5], 0.01 * (earth.v_km_s - sun.v_km_s)
+    values = {"orbit.state.position_km": tuple(position), "orbit.state.velocity_km_s": tuple(velocity)}
+    renderer = Renderer(scenario.changed(values | {"pointing.mounting": "zenith", "study.sampling": "sky"}))
+    t_s = np.linspace(0.0, 30.0, 10) * DAY_S
+    instants = Instants.of(renderer.scenes.orbit, t_s, renderer.scenes.parameters.sky)
+    for k in range(10):
+        now = instants.at(k)
+        (row,) = np.flatnonzero(now.bodies.name == "Earth")
+        distance = np.linalg.norm(now.r_km)
+        assert 1.2e6 < distance < 1.8e6
+        assert now.bodies.angular_radius_rad[row] == pytest.approx(math.asin(6378.137 / distance), rel=1e-4)
+        assert now.bodies.illuminated_fraction[row] < 0.02
+        assert now.bodies.direction[row] @ now_to_sun(now) > math.cos(math.radians(15.0))
+        assert now.sunlit
+    _, truth = renderer.frame(0)
+    assert truth.sources.is_star.sum() > 20

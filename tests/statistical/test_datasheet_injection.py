@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,11 @@ import pytest
 
 from simulator import Scenario
 from simulator.study.datasheet.classes import Separated, separate
+from simulator.study.datasheet.dependence import residuals
 from simulator.study.datasheet.frames import DatasheetFrames
+from simulator.study.datasheet.plan import QUICK
 from simulator.study.datasheet.scan import scan_geometry
+from simulator.study.datasheet.tasks import TaskRunner
 
 FIELDS = 24
 QUIET: dict[str, Any] = {
@@ -45,7 +49,7 @@ QUIET: dict[str, Any] = {
 GEOMETRY = scan_geometry(384, 384)
 
 
-@functools.lru_cache(maxsize=2)
+@functools.lru_cache(maxsize=3)
 def scanned(**changes: Any) -> tuple[Separated, np.ndarray]:
     """Classes in arcseconds, and the Cramér–Rao bound of the noise, arcseconds (frames, 3)."""
     values = QUIET | {name.replace("__", "."): value for name, value in changes.items()}
@@ -53,15 +57,19 @@ def scanned(**changes: Any) -> tuple[Separated, np.ndarray]:
     scans = [frames.scan(field, GEOMETRY) for field in range(FIELDS)]
     passes = np.stack([scan["error_deg"] for scan in scans], axis=1) * 3600.0
     bound = np.concatenate([scan["noise_bound_deg"] for scan in scans]) * 3600.0
-    return separate(passes, GEOMETRY.step_px, GEOMETRY.cut_period_px), bound[np.isfinite(bound).all(axis=1)]
+    return separate(passes, GEOMETRY), bound[np.isfinite(bound).all(axis=1)]
 
 
 def leaks(found: Separated, name: str, axis: int) -> dict[str, float]:
-    """Rms of every other class over the total."""
-    total = found.figures["total"][axis].value
+    """Rms of every other class over the total, without what the camera has with no cause of errors at all."""
+    total, quiet = found.figures["total"][axis].value, scanned()[0]
     assert total
-    others = ("bias", "fov_spatial", "pixel_spatial", "temporal_noise")
-    return {other: abs(found.figures[other][axis].value or 0.0) / total for other in others if other != name}
+    others = {"bias", "fov_spatial", "pixel_spatial", "temporal_noise"} - {name}
+    powers = {
+        other: (found.figures[other][axis].value or 0.0) ** 2 - (quiet.figures[other][axis].value or 0.0) ** 2
+        for other in others
+    }
+    return {other: math.sqrt(max(power, 0.0)) / total for other, power in powers.items()}
 
 
 def contains_total(found: Separated, name: str, axis: int) -> None:
@@ -92,13 +100,13 @@ def test_noise_alone(axis: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_uneven_pixels_alone(axis: int) -> None:
-    found, _ = scanned(detector__prnu=0.03)
+    found, _ = scanned(detector__prnu=0.1)
     contains_total(found, "pixel_spatial", axis)
     leak = leaks(found, "pixel_spatial", axis)
-    assert leak["temporal_noise"] < 1e-6
+    assert leak["temporal_noise"] < 0.01
     assert leak["bias"] < 0.1
-    # the low band has at most 40 % of the power, in some 7 independent values a field
-    assert leak["fov_spatial"] ** 2 < 3.0 * 0.4 / math.sqrt(7.0 * FIELDS)
+    # the covariance of two independent random functions with some 45 independent values a field
+    assert leak["fov_spatial"] ** 2 < 3.0 / math.sqrt(GEOMETRY.frames * FIELDS)
 
 
 @pytest.mark.slow
@@ -108,8 +116,9 @@ def test_interpolation_error_alone(axis: int) -> None:
     found, _ = scanned(optics__psf__sigma_px=0.35, tracker__centroider="moment")
     contains_total(found, "pixel_spatial", axis)
     leak = leaks(found, "pixel_spatial", axis)
-    assert leak["temporal_noise"] < 1e-6
-    assert leak["fov_spatial"] < 0.1 + 3.0 / math.sqrt(FIELDS * GEOMETRY.frames)
+    assert leak["temporal_noise"] < 0.01
+    # stars that enter or leave change the error also between the harmonics: 1 of some 12 in a scan of 54 of 384 pixels
+    assert leak["fov_spatial"] < 0.3
 
 
 @pytest.mark.slow
@@ -118,7 +127,7 @@ def test_calibration_residual_alone(axis: int) -> None:
     found, _ = scanned(optics__calibration_residual__rms_px=0.5)
     contains_total(found, "fov_spatial", axis)
     leak = leaks(found, "fov_spatial", axis)
-    assert leak["temporal_noise"] < 1e-6
+    assert leak["temporal_noise"] < 0.01
     assert leak["pixel_spatial"] < 0.1
     # the mean over the fields of a random error of each field
     assert leak["bias"] < 3.0 / math.sqrt(FIELDS)
@@ -132,3 +141,23 @@ def test_decentring_alone_is_thermo_elastic_bias() -> None:
     assert abs(found.figures["bias"][1].value or 0.0) == pytest.approx(expected, rel=0.01)
     for other in ("fov_spatial", "pixel_spatial", "temporal_noise"):
         assert leaks(found, "bias", 1)[other] < 0.1
+
+
+def test_decentring_is_thermo_elastic() -> None:
+    """The same closed form, for a step of 10 K: 5 µm over 12.5 mm. Stars move by 0.9 pixels, which changes the
+    interpolation error of the centroids, without noise below 0.01 pixels."""
+    values = QUIET | {"optics.thermal.decentring_um_k": (0.5, 0.0)}
+    scenario = Scenario.load("scenarios/cubesat.yaml").changed(values)
+    found = residuals(scenario, TaskRunner(), replace(QUICK, per_point=8))
+    named = {(q.name, q.axis): q.estimate.value for q in found}
+    assert abs(named["thermo_elastic_mean", "cross_y"] or 0.0) == pytest.approx(82.5, abs=0.1)
+    assert abs(named["thermo_elastic_mean", "cross_x"] or 0.0) < 0.5
+
+
+def test_time_tag_is_a_rate_error() -> None:
+    """An error of the time by dt turns a camera at the rate ω by ω dt: 0.5°/s and 1 ms are 1.8″ about its axis."""
+    scenario = Scenario.load("scenarios/cubesat.yaml").changed(QUIET | {"detector.time_tag.offset_s": 1e-3})
+    made = DatasheetFrames(scenario).at_rate(0, 8, 0.5)
+    assert made["right"].all()
+    assert np.abs(made["along_deg"] * 3600.0) == pytest.approx(np.full(8, 1.8), abs=0.1)
+    assert np.abs(made["across_deg"] * 3600.0).max() < 0.1

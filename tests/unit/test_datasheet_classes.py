@@ -24,7 +24,7 @@ SHAPE = (3, FIELDS, GEOMETRY.frames, 1)
 
 
 def separated(passes: np.ndarray) -> Separated:
-    return separate(np.asarray(passes), GEOMETRY.step_px, GEOMETRY.cut_period_px)
+    return separate(np.asarray(passes), GEOMETRY)
 
 
 def repeated(series: np.ndarray) -> np.ndarray:
@@ -157,9 +157,16 @@ def test_missing_frames_are_bridged_and_poor_fields_left_out() -> None:
         separated(passes)
 
 
-def test_a_short_scan_is_refused() -> None:
-    with pytest.raises(ValueError, match="cannot separate"):
-        separate(np.zeros((3, 8, 20, 1)), GEOMETRY.step_px, GEOMETRY.cut_period_px)
+def test_steps_by_stars_that_enter_or_leave_are_fov_spatial() -> None:
+    """A step at a random frame of each field has power at all frequencies."""
+    rng = np.random.default_rng(RNG_SEED)
+    at = rng.integers(5, GEOMETRY.frames - 5, (FIELDS, 1, 1))
+    steps = np.where(np.arange(GEOMETRY.frames)[None, :, None] < at, 0.0, rng.normal(size=(FIELDS, 1, 1)))
+    found = separated(repeated(steps))
+    total, figure = found.figures["total"][0].value, found.figures["fov_spatial"][0].value
+    assert total is not None
+    assert figure == pytest.approx(total, rel=0.05)
+    assert found.figures["pixel_spatial"][0].value == pytest.approx(0.0, abs=0.1 * total)
 
 
 def test_a_scan_moves_stars_by_its_steps() -> None:

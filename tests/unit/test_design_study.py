@@ -3,6 +3,7 @@
 import json
 import math
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +13,11 @@ from simulator.build import build_camera
 from simulator.checks import load_scenario
 from simulator.study.coverage.boresights import whole_sky
 from simulator.study.coverage.prediction import left_out, predict
+from simulator.study.design import verification
 from simulator.study.design.files import write_design
 from simulator.study.design.search import PARAMETERS, Search, Trade, changed, design
 from simulator.study.design.verification import Verified, trials_for, verified_design, verify
-from simulator.study.specification.verdicts import MET, judge
+from simulator.study.specification.verdicts import MET, Judgement, judge
 from simulator.study.trials.trial import TrialRunner
 from startracker.errors import InputError
 
@@ -181,3 +183,21 @@ def test_the_search_goes_on_with_the_simulator_where_it_contradicts(scenario, mo
     rejected = max(run.value for run in found.runs if not run.accepted)
     assert answer.value / rejected <= 1.5
     assert 2 <= len(found.runs) <= 8
+
+
+@pytest.mark.parametrize(("wrong", "looks"), [(1, [100]), (0, [100, 1000])])
+def test_a_run_that_fails_by_far_ends_after_its_first_tenth(scenario, result, monkeypatch, wrong, looks):
+    asked = []
+
+    def fake_run(chosen, trials, workers):
+        asked.append(trials)
+        errors = {axis: {"three_sigma": 1e-3, "p997": 1e-3} for axis in ("roll", "pitch", "yaw")}
+        summary = {"trials": trials, "solved": trials, "wrong": wrong, "errors_deg": errors, "availability": 1.0}
+        summary["availability_interval95"] = [0.99, 1.0]
+        return SimpleNamespace(summary=summary, judgement=Judgement((), "measured", "trials", wrong))
+
+    monkeypatch.setattr(verification, "run", fake_run)
+    checked = verify(scenario, result, 1000)
+    assert asked == looks
+    assert checked.trials == looks[-1]
+    assert checked.accepted is not bool(wrong)

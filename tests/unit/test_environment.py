@@ -13,10 +13,12 @@ from simulator.environment import shield
 from simulator.environment.coefficients import COEFFICIENTS
 from simulator.environment.damage import Pixel, damage, glass_transmission
 from simulator.environment.dose import Dose
+from simulator.environment.galactic import GalacticCosmicRays
 from simulator.environment.parameters import Environment
 from simulator.environment.solar import event_fluence, reaching
 from simulator.environment.spectrum import Spectrum
 from simulator.environment.transients import proton_charge_e_um
+from simulator.mission.frames import itrs_km
 from startracker.errors import InputError
 
 SMALL = ["detector.width=128", "detector.height=96", "sky.magnitude_limit=3"]
@@ -70,6 +72,15 @@ def test_particles_cross_the_detector_in_the_anomaly_and_not_outside():
     assert np.array_equal(again, dark[storm])
 
 
+def test_truth_states_the_particles_of_the_frame():
+    assert Renderer(load("detector.cosmic_rays.rate_cm2_s=7")).frame(0)[1].particles_cm2_s == 7.0
+    assert Renderer(load()).frame(0)[1].particles_cm2_s == 0.0
+    renderer = Renderer(load("environment.galactic=true"))
+    truth = renderer.frame(5)[1]
+    r_km, _ = renderer.scenes.orbit.state(np.array([truth.t_s]))
+    assert truth.particles_cm2_s == pytest.approx(renderer.transients.flux(np.array([truth.t_s]), r_km).total[0])
+
+
 def test_groups_of_particles_carry_the_local_flux():
     pytest.importorskip("aep8")
     scenario = load(*AP8)
@@ -81,6 +92,17 @@ def test_groups_of_particles_carry_the_local_flux():
         renderer.transients.flux(np.array([t_s]), r_km).total[0], rel=1e-12
     )
     assert all(group.depth_um == 10.0 for group in groups)
+
+
+def test_half_of_an_isotropic_flux_crosses_a_plane():
+    """The rate per area is the omnidirectional flux times the mean of |cos θ| over all directions."""
+    position = np.array([[0.0, 0.0, 7178.0]])
+    transients = build_transients(load("environment.galactic=true"))
+    itrs = itrs_km(Renderer(load()).scenes.clock, np.zeros(1), position)
+    flux, _ = GalacticCosmicRays("min").flux_cm2_s(itrs, 0.2)
+    cosine = np.linspace(-1.0, 1.0, 2001)
+    crossing = transients.flux(np.zeros(1), position).galactic_protons
+    assert crossing == pytest.approx(flux * np.mean(np.abs(cosine)), rel=1e-3)
 
 
 def test_charge_of_protons():
@@ -173,6 +195,13 @@ def test_solar_events_arrive_where_the_field_lets_them():
     np.testing.assert_allclose(everywhere.above, event.above, rtol=1e-12)
     half = reaching(event_fluence(2.0), np.full(len(event.energy_mev), 0.5))
     np.testing.assert_allclose(half.above, event.above, rtol=1e-12)
+
+
+def test_levels_that_switch_within_an_exposure_are_refused():
+    keys = ["detector.telegraph.pixel_fraction=0.1", "detector.telegraph.dark_e_s=100", "detector.telegraph.high_s=1.5"]
+    with pytest.raises(InputError, match=r"detector\.telegraph\.high_s: 1\.5 s is less than ten exposures of 0\.2 s"):
+        load(*keys)
+    load(*keys[:2])
 
 
 def test_a_missing_package_is_said_in_one_line(monkeypatch):

@@ -272,6 +272,7 @@ def test_several_objects_need_a_choice(tmp_path):
         (["orbit.tle=a.tle", "orbit.oem=b.oem"], r"orbit.oem: the orbit is already defined by orbit.tle"),
         (["orbit.state.position_km=[7000,0,0]"], r"orbit.state.velocity_km_s: a state vector needs both"),
         (["orbit.elements={semi_major_axis_km: 6600, eccentricity: 0.1}"], r"periapsis is at a height of -438"),
+        (["orbit.state={position_km: [0,0,42164], velocity_km_s: [1,0,0]}"], r"velocity_km_s: .* height of -4024 km"),
         (["orbit.elements.semi_major_axis_km=9000", "orbit.propagator=sgp4"], r"sgp4 is not for these elements"),
         (["orbit.propagator=kepler"], r"kepler is not for a circular orbit; use auto or j2 or sgp4 or numerical"),
         (["orbit.centre=Sun"], r"orbit.centre: circular orbits are around the Earth"),

@@ -15,7 +15,9 @@ from simulator.cli.solve_output import as_dict
 from simulator.mission.frames import argument_of_latitude_deg
 from simulator.scenario import Scenario
 from simulator.study.sequence.frames import SequenceRunner
-from simulator.study.statistics import WRONG_NEES, is_wrong
+from simulator.study.statistics import CAMERA_AXES, WRONG_NEES, is_wrong
+from simulator.study.trials.bounds import matched_sources
+from simulator.study.trials.systematic import explained_deg, systematic_turn_deg
 from simulator.study.trials.trial import (
     TrialRunner,
     galactic_latitude_deg,
@@ -118,6 +120,36 @@ def test_what_noise_explains_is_not_wrong():
     assert not is_wrong(0, 20.0, 2.0 * error, bound)
     assert is_wrong(0, 1e3, error, np.full(3, np.nan))  # no noise at all
     assert chi2.sf(WRONG_NEES, 3) == pytest.approx(2.0 * norm.sf(5.0), rel=1e-3)
+
+
+def test_what_a_displaced_lens_explains_is_not_wrong():
+    """2.4 µm of decentring before 25 mm are 14″ about each axis, a hundred standard deviations of the attitude; and
+    0.1 s at the orbital rate of 0.0595°/s are 21″."""
+    decentred = ["optics.thermal.decentring_um_k=[1.7, 1.7]", "optics.thermal.temperature_c=21"]
+    for keys, turn_arcsec in ((decentred, 1.7e-3 / 25.0 * 206_264.8), (["detector.time_tag.offset_s=0.1"], 21.4)):
+        runner = TrialRunner(Scenario.load("cubesat", overrides=keys))
+        frame, truth = runner.renderer.frame(0)
+        solution = solve_frame(runner.tracker, frame)
+        row = runner._row(0, frame, truth, solution)
+        assert row["nees"] > 100.0
+        assert not row["wrong"]
+        matched = matched_sources(truth, solution.stars.fitted.xy)
+        turn_deg = systematic_turn_deg(runner.renderer, truth, matched)
+        error_deg = [row[f"error_{axis}_deg"] for axis in CAMERA_AXES]
+        assert np.abs(turn_deg).max() * 3600.0 == pytest.approx(turn_arcsec, rel=0.02)
+        # what is left is noise: 0.15″ across and 1.8″ about the boresight
+        np.testing.assert_allclose(np.array(error_deg) * 3600.0, turn_deg * 3600.0, atol=8.0)
+        np.testing.assert_allclose(error_deg[:2], turn_deg[:2], atol=1.0 / 3600.0)
+        far = Attitude.from_rotation_vector([0.03, 0.0, 0.0], "camera", "camera") @ solution.attitude
+        assert runner._row(0, frame, truth, replace(solution, attitude=far))["wrong"]
+
+
+def test_a_camera_without_errors_turns_nothing():
+    runner = TrialRunner(Scenario.load("cubesat"))
+    _, truth = runner.renderer.frame(0)
+    assert not systematic_turn_deg(runner.renderer, truth, np.arange(5)).any()
+    bound_deg = np.full(3, 1e-4)
+    assert explained_deg(runner.renderer, truth, np.arange(5), bound_deg) is bound_deg
 
 
 def test_a_frame_of_a_sequence_is_wrong_by_the_same_rule():

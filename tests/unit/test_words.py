@@ -50,6 +50,9 @@ TERMS = {
     r"words of a pixel": "random bits",
     r"slip of the pen|nobody": "state the fact",
     r"by luck": "by chance",
+    r"found out": "determined",
+    r"stands? (?:there|in DIR)": "exists, contains, in DIR",
+    r"(?:of|with) workers of its own|of one's own": "its own workers, your own",
 }
 """Word that is not used here, as a regular expression, and what the field says."""
 

@@ -6,7 +6,8 @@ All attitudes have the same weight, of the sky or of the time.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,8 @@ class Exclusion:
     """Minimum angle between the boresight and the centre of the body."""
     earth_deg: float = 0.0
     """Minimum angle between the boresight and the Earth's limb, lit or dark."""
+    sources: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
+    """Key or option that the angle of each body comes from, for display."""
 
     def __post_init__(self) -> None:
         for name in ("sun_deg", "moon_deg", "earth_deg"):
@@ -176,9 +179,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
     _at_least_one("boresights", count)
     sampling = scenario.study.sampling
     if sampling == "sky" and scenario.pointing.target is None:
-        raise InputError(
-            "study.sampling: sky has no boresight path; omit --path, or set it to mission_year, orbit or span"
-        )
+        raise InputError("study.sampling: sky has no boresight path; omit --path, or use mission_year, orbit or span")
     orbit = build_orbit(scenario)
     period_s = round_s(scenario.pointing, orbit.period_s)
     t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s, orbit.span_s)

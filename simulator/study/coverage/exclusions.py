@@ -13,10 +13,8 @@ __all__ = ["BODIES", "everything_excluded", "exclusion_of", "exclusion_text"]
 BODIES = ("sun", "moon", "earth")
 
 
-def exclusion_of(
-    scenario: Scenario, given: Mapping[str, float | None] | None = None
-) -> tuple[Exclusion, dict[str, str]]:
-    """Exclusion angles and the source of each that is not zero: given, else those of the specification, else those of
+def exclusion_of(scenario: Scenario, given: Mapping[str, float | None] | None = None) -> Exclusion:
+    """Exclusion angles, and the source of each that is not zero: given, else those of the specification, else those of
     the baffle, if the scenario has one.
 
     Parameters
@@ -44,13 +42,15 @@ def exclusion_of(
         angles[f"{body}_deg"] = angle
         if angle > 0.0:
             sources[body] = source
-    return Exclusion(**angles), sources
+    return Exclusion(**angles, sources=sources)
 
 
-def everything_excluded(looks: Boresights, sources: Mapping[str, str]) -> str:
+def everything_excluded(looks: Boresights, exclusion: Exclusion) -> str:
     """Sentence with the angles that exclude every attitude: those that do so alone, otherwise all."""
     alone = [body for body, broken in looks.excluded.items() if broken.all()]
-    return "everything is excluded by " + " and ".join(sources.get(body, body) for body in alone or looks.excluded)
+    return "everything is excluded by " + " and ".join(
+        exclusion.sources.get(body, body) for body in alone or looks.excluded
+    )
 
 
 def exclusion_text(body: str, angle_deg: float, source: str) -> str:

@@ -7,7 +7,6 @@ which is the fraction of the sky or of the time with at least k stars.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -42,6 +41,8 @@ IntArray = NDArray[np.int64]
 
 PERCENTILES = (0.1, 1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 MOST_STARS_ASKED = 12
+_STARS_OF_ATTITUDE = 5
+"""Stars that an attitude needs in the predicted verdict, as in `study design` by default."""
 _MINIMA_LISTED = 20
 _CURVE_STEP_MAG = 0.25
 _BLEND_MAG = 0.8
@@ -72,8 +73,6 @@ class Coverage:
     """Stars down to `magnitude_limit` over the whole sky."""
     exclusion: Exclusion = field(default_factory=Exclusion)
     """Exclusion angles."""
-    sources: dict[str, str] = field(default_factory=dict)
-    """Key or option of the exclusion angle of each body that has one."""
     judgement: Judgement | None = None
     """Predicted verdicts on the specification, where no exclusion angle is violated; None if the field or the stars are
     not the camera's own."""
@@ -96,7 +95,7 @@ class Coverage:
         what = "time" if self.boresights.kind == "path" else "sky"
         return [
             f"{100 * broken.mean():.2f} % of the {what} excluded by the {body.title()}, "
-            + exclusion_text(body, getattr(self.exclusion, f"{body}_deg"), self.sources.get(body, "as given"))
+            + exclusion_text(body, getattr(self.exclusion, f"{body}_deg"), self.exclusion.sources.get(body, "as given"))
             for body, broken in self.boresights.excluded.items()
         ]
 
@@ -126,7 +125,7 @@ class Coverage:
             "stars_over_sky": self.sky_stars,
             "stars_if_spread_evenly": self.sky_stars * area / (4.0 * math.pi),
             "exclusion_deg": {body: getattr(self.exclusion, f"{body}_deg") for body in ("sun", "moon", "earth")},
-            "exclusion_from": self.sources,
+            "exclusion_from": dict(self.exclusion.sources),
             "excluded_share": {body: float(np.mean(broken)) for body, broken in looks.excluded.items()},
             "excluded_share_any": float(np.mean(~looks.allowed)),
             "specification": self.judgement.by_name() if self.judgement else {},
@@ -218,8 +217,6 @@ def coverage(
     snr: float | None = None,
     circle_deg: float | None = None,
     exclusion: Exclusion | None = None,
-    sources: Mapping[str, str] | None = None,
-    least_stars: int = 5,
 ) -> Coverage:
     """Stars in a scenario's field over the sky or along its path.
 
@@ -242,10 +239,6 @@ def coverage(
         A circular field of this radius instead of the camera's.
     exclusion : Exclusion, optional
         Exclusion angles; by default those of the specification, otherwise of the scenario's baffle, if any.
-    sources : mapping, optional
-        Where the exclusion angles come from, by body, for display.
-    least_stars : int
-        Stars that an attitude needs, for the predicted verdict.
 
     Raises
     ------
@@ -257,7 +250,7 @@ def coverage(
     if magnitude_limit is not None and not math.isfinite(magnitude_limit):
         raise InputError(f"magnitude limit: must be a number, not {magnitude_limit}")
     camera = build_camera(scenario)
-    angles, origin = exclusion_of(scenario) if exclusion is None else (exclusion, dict(sources or {}))
+    angles = exclusion or exclusion_of(scenario)
     looks = along_path(scenario, count, angles) if path else whole_sky(count, rolls, scenario, angles)
     own_stars = magnitude_limit is None and snr is None and circle_deg is None
     limit, reason = _limit(scenario, magnitude_limit, snr)
@@ -280,16 +273,15 @@ def coverage(
         curve=counts,
         sky_stars=len(stars.brighter_than(limit)),
         exclusion=angles,
-        sources=origin,
-        judgement=_predicted(scenario, looks, least_stars, origin) if own_stars else None,
+        judgement=_predicted(scenario, looks, angles) if own_stars else None,
         left_out=left_out(scenario) if own_stars else (),
     )
 
 
-def _predicted(scenario: Scenario, looks: Boresights, least_stars: int, sources: Mapping[str, str]) -> Judgement:
-    evidence = predict(scenario, looks, least_stars).evidence
+def _predicted(scenario: Scenario, looks: Boresights, angles: Exclusion) -> Judgement:
+    evidence = predict(scenario, looks, _STARS_OF_ATTITUDE).evidence
     judged = judge(evidence.specification, evidence)
-    return judged if looks.allowed.any() else replace(judged, untested=(everything_excluded(looks, sources),))
+    return judged if looks.allowed.any() else replace(judged, untested=(everything_excluded(looks, angles),))
 
 
 def _limit(scenario: Scenario, given: float | None, snr: float | None) -> tuple[float, str]:

@@ -4,20 +4,21 @@ Every field is scanned three times (`scan`) at the same attitudes, each time wit
 device, and once with other pixels behind the same lens. With the errors e₁, e₂ and e₃ at the same position,
 
 - temporal noise is what differs between the first two: its variance is ⟨(e₁ − e₂)²⟩ / 2;
-- spatial errors are what both repeat: the cross-spectral density of e₁ and e₂ has no contribution of the noise;
-- of these the cross-spectral density with e₃ retains what does not depend on single pixels: the FOV spatial error, at
-  periods of many pixels up to the whole field, and the interpolation error, at harmonics of the pixel period. Below the
-  cut-off it is the FOV spatial error; all other repeated errors are the pixel spatial error. A spectrum alone cannot
-  separate them, as the error by uneven pixels across the direction of motion extends to zero frequency;
+- spatial errors are what both repeat: ⟨e₁ e₂⟩, the integral of their cross-spectral density, has no contribution of the
+  noise;
+- of these the covariance with e₃ retains what does not depend on single pixels. At the harmonics of the pixel period
+  this is the interpolation error; the rest is the FOV spatial error, which changes over many pixels, from field to
+  field, and where stars enter or leave the field. All other repeated errors are the pixel spatial error. A spectrum
+  alone cannot separate these, as the error by uneven pixels across the direction of motion extends to zero frequency;
 - the mean over all fields is the bias.
 
-The mean square error of all frames is the sum of the squares of these four, by Parseval's theorem.
+The mean square error of all frames is the sum of the squares of these four.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from scipy.signal import csd
 from scipy.signal.windows import dpss
 
 from simulator.study.datasheet.estimates import Estimate
+from simulator.study.datasheet.scan import STEP_PX, ScanGeometry
 from simulator.study.intervals import moment_intervals
 
 __all__ = ["BANDWIDTH", "CLASSES", "Separated", "Spectra", "separate"]
@@ -35,9 +37,9 @@ CLASSES = ("bias", "fov_spatial", "pixel_spatial", "temporal_noise")
 """Classes that a scan separates."""
 
 BANDWIDTH, TAPERS = 2.5, 2
-"""Half bandwidth of the spectral windows in units of one over the length of the scan, and their number. The first two
-discrete prolate spheroidal sequences have less than 0.1 % of their power outside (Thomson 1982, Proc. IEEE 70, 1055;
-Slepian 1978, Bell Syst. Tech. J. 57, 1371)."""
+"""Half bandwidth of the windows of the plotted spectra in units of one over the length of the scan, and their number.
+The first two discrete prolate spheroidal sequences have less than 0.1 % of their power outside (Thomson 1982, Proc.
+IEEE 70, 1055; Slepian 1978, Bell Syst. Tech. J. 57, 1371)."""
 
 LEAST_COMPLETE = 0.9
 """Minimum fraction of the frames of a field with an error in both passes; fewer, and the field is left out."""
@@ -79,43 +81,37 @@ class Separated(NamedTuple):
     """Fields without errors in too many frames."""
 
 
-def separate(passes: FloatArray, step_px: float, cut_period_px: float, seed: int = 0) -> Separated:
+def separate(passes: FloatArray, geometry: ScanGeometry, seed: int = 0) -> Separated:
     """Separate the errors of three passes over several fields.
 
     Parameters
     ----------
     passes : (3, fields, frames, axes) array
         Errors of the passes, any unit; NaN for frames without an attitude, which are interpolated.
-    step_px : float
-        Motion of the stars from frame to frame, pixels.
-    cut_period_px : float
-        Period that separates the spatial classes; the scan must be longer than `BANDWIDTH` such periods.
+    geometry : ScanGeometry
+        The scans.
     seed : int
         Seed of the bootstrap over the fields.
 
     Raises
     ------
     ValueError
-        If the scan is too short for the cut-off, or fewer than two fields are complete.
+        If fewer than two fields are complete.
     """
-    frames = passes.shape[2]
-    if frames * step_px < BANDWIDTH * cut_period_px:
-        raise ValueError(f"a scan of {frames * step_px:.0f} px cannot separate periods of {cut_period_px:g} px")
     known: NDArray[np.bool_] = np.isfinite(passes.sum(axis=(0, 3)))
     use = known.mean(axis=1) >= LEAST_COMPLETE
     if use.sum() < 2:
         raise ValueError("fewer than two fields have attitudes in at least nine tenths of their frames")
     one, two, other = (_filled(errors[use], known[use]) for errors in passes)
     bias = 0.5 * (one + two).mean(axis=(0, 1))
-    density = _densities(one - bias, two - bias, other - bias, step_px)
-    low = density.cycles_per_px < 1.0 / cut_period_px
-    width = density.cycles_per_px[1]
-    fov = density.common[:, low].sum(axis=1) * width
+    density = _densities(one - bias, two - bias, other - bias, geometry.step_px)
+    both = 0.5 * (one + two) - bias
+    fov = np.mean(both * (other - bias), axis=1) - _periodic_power(both, other - bias, geometry)
     powers = {
         "bias": 0.5 * (one + two).mean(axis=1),
         # the bias is estimated from the same fields, which lowers the differences between them
         "fov_spatial": fov * use.sum() / (use.sum() - 1.0),
-        "pixel_spatial": density.repeated.sum(axis=1) * width - fov,
+        "pixel_spatial": np.mean((one - bias) * (two - bias), axis=1) - fov,
         "temporal_noise": 0.5 * np.mean((one - two) ** 2, axis=1),
         "total": 0.5 * np.mean(one**2 + two**2, axis=1),
     }
@@ -133,6 +129,36 @@ def _filled(errors: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
             for column in series.T:
                 column[~here] = np.interp(at[~here], at[here], column[here])
     return filled
+
+
+def _periodic_power(both: FloatArray, other: FloatArray, geometry: ScanGeometry) -> FloatArray:
+    """Power (fields, axes) at the harmonics of the pixel period that two series (fields, frames, axes) have in common.
+
+    Harmonic analysis: least-squares fit of slow functions (periods longer than the cut-off) and of the harmonics
+    together. The mean power of the remainder per dimension is the continuum under the harmonics, and is subtracted.
+    """
+    frames = both.shape[1]
+    at = np.arange(frames)
+    slow = [np.ones(frames), at - at.mean()]
+    for cycles in range(1, int(geometry.length_px / geometry.cut_period_px) + 1):
+        slow += _waves(cycles * at / frames)
+    pixel = [wave for step in STEP_PX for n in range(1, _harmonics(frames) + 1) for wave in _waves(n * step * at)]
+    design = np.stack([*slow, *pixel], axis=1)
+    solve = np.linalg.pinv(design)
+    fit, of_pixel = design @ solve, design[:, len(slow) :] @ solve[len(slow) :]
+    waves = np.einsum("nm,fma->fna", of_pixel, both) * np.einsum("nm,fma->fna", of_pixel, other)
+    rest = np.sum(both * other, axis=1) - np.sum(both * np.einsum("nm,fma->fna", fit, other), axis=1)
+    continuum = rest / (frames - np.trace(fit))
+    return np.asarray((waves.sum(axis=1) - np.sum(of_pixel**2) * continuum) / frames)
+
+
+def _harmonics(frames: int) -> int:
+    """Number of harmonics that so many frames distinguish from slow functions and continuum."""
+    return 4 if frames >= 40 else 2 if frames >= 24 else 1
+
+
+def _waves(cycles: NDArray[np.floating[Any]]) -> list[NDArray[np.floating[Any]]]:
+    return [np.cos(2.0 * math.pi * cycles), np.sin(2.0 * math.pi * cycles)]
 
 
 def _densities(one: FloatArray, two: FloatArray, other: FloatArray, step_px: float) -> Spectra:

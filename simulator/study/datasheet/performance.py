@@ -143,16 +143,19 @@ def rates(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> tuple[Qua
 
 def exclusion(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[Quantity]:
     """Smallest angles of the boresight from Sun, Moon and Earth at which frames are solved, by bisection."""
-    quantities = []
-    for body in ("sun", "moon", "earth"):
-        if body == "moon" and not scenario.sky.planets:
-            continue
-        # without the Earth, which would cover some of the fields near the Sun and the Moon
-        case = scenario.changed({"sky.earth": scenario.sky.earth and body == "earth"})
+    count = amounts.per_rate
+    without_earth = scenario.changed({"sky.earth": False})  # it would cover some of the fields near Sun and Moon
+    cases = {"sun": without_earth, "earth": scenario} | ({"moon": without_earth} if scenario.sky.planets else {})
 
-        def passes(inverse: float, case: Scenario = case, body: str = body) -> bool:
-            found = runner.run([Task(case, "near_body", (0, amounts.per_rate, body, 1.0 / inverse))])[0]
-            return bool(np.mean(found["right"]) >= LEAST_SHARE)
+    def frames(body: str, inverse: float) -> Task:
+        return Task(cases[body], "near_body", (0, count, body, 1.0 / inverse))
+
+    runner.run([frames(body, 2.0**k / FIRST_ANGLE_DEG) for body in cases for k in range(5)])
+    quantities = []
+    for body in cases:
+
+        def passes(inverse: float, body: str = body) -> bool:
+            return float(np.mean(runner.run([frames(body, inverse)])[0]["right"])) >= LEAST_SHARE
 
         passed, failed = bracket(passes, 1.0 / FIRST_ANGLE_DEG, amounts.bisections, 1.0 / SMALLEST_ANGLE_DEG)
         value = None if passed is None else 1.0 / passed
@@ -164,8 +167,7 @@ def exclusion(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[
                 Estimate(value, None if failed is None else 1.0 / failed, value),
                 "deg",
                 interpretation="ensemble",
-                method=f"boresight{limb}: at least {100 * LEAST_SHARE:g} % of {amounts.per_rate} frames correct; "
-                "bracket of the bisection",
+                method=f"boresight{limb}: at least {100 * LEAST_SHARE:g} % of {count} frames correct; bracket",
             )
         )
     return quantities
@@ -224,11 +226,14 @@ def _greatest_acceleration(
     swing = 0.5 * rate_deg_s if rate_deg_s else 0.5
     highest = swing / scenario.sequence.step_s
 
+    def frames(acceleration: float) -> Task:
+        return Task(swinging(scenario, acceleration, swing, amounts.acceleration), "sequence")
+
     def passes(acceleration: float) -> bool:
-        shaken = swinging(scenario, acceleration, swing, amounts.acceleration)
-        found = runner.run([Task(shaken, "sequence")])[0]
+        found = runner.run([frames(acceleration)])[0]
         return bool(np.mean((found["status"] == "solved") & ~found["wrong"]) >= LEAST_SHARE)
 
+    runner.run([frames(share * highest) for share in (FIRST_SHARE, 2.0 * FIRST_SHARE, 4.0 * FIRST_SHARE)])
     limit = bracket(passes, FIRST_SHARE * highest, amounts.bisections, highest)
     return Quantity(
         "greatest_acceleration",

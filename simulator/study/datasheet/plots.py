@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from simulator.study.datasheet.scan import STEP_PX
 from simulator.study.statistics import CAMERA_AXES
-from simulator.study.style import BLUE, GREEN, LINE, ORANGE, SOFT, VERMILION, Panel
+from simulator.study.style import BLUE, GREEN, ORANGE, SOFT, VERMILION, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +22,12 @@ __all__ = ["panels"]
 LOOKS = ((BLUE, "o", "-"), (ORANGE, "s", "--"))
 """Colour, marker and line of each stage of life."""
 
+SPECTRUM_NOTE = (
+    "Against the spatial frequency of the motion. What other pixels repeat is the FOV spatial error, and at the "
+    "harmonics of the pixel period (dotted: the first ones, aliased) the interpolation error; what only the same "
+    "pixels repeat is the error by their unevenness."
+)
+
 Points = Sequence[dict[str, Any]]
 
 
@@ -30,9 +37,7 @@ def panels(columns: Sequence[Column]) -> list[Panel]:
     found = [
         Panel(
             f"Spectrum of the errors, {axis.replace('_', ' ')}, {first.life}",
-            "Against the spatial frequency of the motion over the pixels. What other pixels repeat is the FOV spatial "
-            "error left of the dotted line, and the interpolation error right of it; what only the same pixels "
-            "repeat is the error by their unevenness.",
+            SPECTRUM_NOTE,
             partial(_draw_spectrum, first, k),
         )
         for k, axis in enumerate(CAMERA_AXES)
@@ -154,7 +159,8 @@ def _draw_spectrum(column: Column, axis: int, ax: Axes) -> None:
         ax.plot(
             spectra.cycles_per_px, np.where(values > floor, values, np.nan), color=colour, linestyle=line, label=name
         )
-    ax.axvline(1.0 / column.accuracy.geometry.cut_period_px, color=LINE, linestyle=":")
+    for step in STEP_PX:
+        ax.axvline(abs(step - round(step)) / column.accuracy.geometry.step_px, color=SOFT, linestyle=":", linewidth=0.8)
     ax.set_yscale("log")
     ax.set_xlabel("spatial frequency [cycles / pixel]")
     ax.set_ylabel("density [″² px]")

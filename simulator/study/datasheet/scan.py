@@ -20,15 +20,15 @@ FloatArray = NDArray[np.float64]
 
 STEP_PX = (1.184, 0.294)
 """Motion of the stars per frame along columns and rows, pixels. Of the harmonics of the pixel period, which such steps
-alias to lower frequencies, the first two of either axis are at least 0.18 cycles per frame from zero, the third and
-fourth 0.12, and the sums and differences of the first ones 0.1: above the cut-off, which is 0.076."""
+alias to lower frequencies, the first two of either axis are at least 0.18 cycles per frame from zero, and the third and
+fourth 0.12: above the cut-off, which is 0.076."""
 
 CUT_PERIOD_PX = 16.0
 """Period that separates the spatial classes: "a few pixels" in ECSS-E-ST-60-20C Rev.1, 3.2.8.3, where the supplier
 states it."""
 
 PERIODS_PER_SCAN = 3.4
-"""Length of a scan in such periods: more than the bandwidth of the spectral windows (`classes.BANDWIDTH`)."""
+"""Length of a scan in such periods."""
 
 LARGEST_SHARE = 0.4
 """Maximum length of a scan as a fraction of the shorter side of the detector, so that stars remain in the field."""

@@ -283,7 +283,8 @@ def design(
 
 def _attitudes(scenario: Scenario, trade: Trade, specification: Specification) -> Boresights:
     """Attitudes of a trade; those within the specified exclusion angles do not count."""
-    excluded = Exclusion(**{f"{body}_deg": angle for body, angle in specification.exclusion_deg})
+    angles = dict(specification.exclusion_deg)
+    excluded = Exclusion(angles.get("sun", 0.0), angles.get("moon", 0.0), angles.get("earth", 0.0))
     if trade.path:
         return along_path(scenario, trade.count, excluded)
     return whole_sky(trade.count, scenario=scenario, exclusion=excluded)

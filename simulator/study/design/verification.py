@@ -31,8 +31,12 @@ _STEP = 1.15
 """Ratio of successive values: its limits, and its value if it cannot be derived from the errors. A few outliers can
 cause a factor of ten that disappears at a slightly larger value."""
 _TRIALS_FACTOR = 1.6
-_CLOSE_ENOUGH = 1.05
+_CLOSE_ENOUGH = 1.12
 """Ratio of the smallest value confirmed to the largest one contradicted at which the search ends."""
+_FIRST_LOOK = 0.1
+"""Fraction of the trials of a run after which a contradiction ends it: most values that fail do so by far."""
+_FEWEST_FIRST = 50
+"""Minimum number of trials of such a first look."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,8 @@ def verify(
 ) -> Verification:
     """Run trials of a value, over the whole sky or along the path as in the prediction.
 
+    The run ends after the first tenth of the trials if these already show that the specification is not met.
+
     Parameters
     ----------
     scenario : Scenario
@@ -136,7 +142,10 @@ def verify(
     chosen = changed(scenario, result.parameter, point.value)
     if result.over == "sky":
         chosen = chosen.changed({"study.sampling": "sky", "pointing.target": None})
-    study = run(chosen, trials, workers=workers)
+    first = int(_FIRST_LOOK * trials)
+    study = run(chosen, first, workers=workers) if first >= _FEWEST_FIRST else None
+    if study is None or study.judgement.state != NOT_MET:
+        study = run(chosen, trials, workers=workers)
     summary, judged = study.summary, study.judgement
     ratios: dict[str, float | None] = {}
     for each in judged.verdicts:
@@ -146,7 +155,7 @@ def verify(
             ratios[each.requirement.name] = measured / expected if measured is not None and expected else None
     return Verification(
         value=point.value,
-        trials=trials,
+        trials=summary["trials"],
         solved=summary["solved"],
         wrong=summary["wrong"],
         judgement=judged,
@@ -186,7 +195,7 @@ def verified_design(
     Starts at the predicted value. If its run contradicts it, or leaves it undecided with enough trials, the prediction
     is multiplied by measured / predicted, and the next value is the smallest that meets the specification so, at most
     1.5 times the previous one; between the largest contradicted and the smallest confirmed value the search goes on by
-    bisection to 5 %, `MOST_RUNS` runs in all.
+    bisection to 12 %, `MOST_RUNS` runs in all.
 
     Parameters
     ----------

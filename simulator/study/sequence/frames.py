@@ -24,6 +24,7 @@ from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from simulator.study.trials.systematic import explained_deg
 from simulator.study.trials.trial import (
     attitude_errors_deg,
     build_tracker,
@@ -374,7 +375,9 @@ class SequenceRunner:
             return False
         bound_deg = np.full(3, math.nan)
         if nees > WRONG_NEES:
-            bound_deg = attitude_bound_deg(self.renderer, truth, matched_sources(truth, solution.stars.fitted.xy))
+            stars = matched_sources(truth, solution.stars.fitted.xy)
+            bound_deg = attitude_bound_deg(self.renderer, truth, stars)
+            bound_deg = explained_deg(self.renderer, truth, stars, bound_deg)
         return is_wrong(misidentified, nees, error_deg, bound_deg)
 
 

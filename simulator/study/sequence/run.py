@@ -18,6 +18,7 @@ from simulator.study.result_files import json_text, now_utc, parquet_bytes, writ
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.messages import sequence_messages
 from simulator.study.sequence.operation import summarise_operation
 from simulator.study.sequence.statistics import summarise_sequence
 from simulator.study.specification.measured import judge_frames
@@ -81,6 +82,7 @@ def run_sequence(
     out: str | Path | None = None,
     single: bool = False,
     animate: bool = False,
+    ccsds: bool = False,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Sequence:
@@ -92,11 +94,14 @@ def run_sequence(
         The scenario, with its ``sequence`` section.
     out : path, optional
         Folder for ``sequence.parquet``, ``sequence.json``, ``sequence.html``, ``scenario.resolved.yaml`` and, with
-        `animate`, ``sequence.gif`` and, if ffmpeg is installed, ``sequence.mp4``; None: nothing is written.
+        `animate`, ``sequence.gif`` and, if ffmpeg is installed, ``sequence.mp4``; with `ccsds` the files of
+        `simulator.study.sequence.messages`; None: nothing is written.
     single : bool
         Also solve every frame on its own, for comparison.
     animate : bool
         Create the animation.
+    ccsds : bool
+        Write trajectory and attitudes as messages of CCSDS.
     force : bool
         Replace any results in `out`.
     progress : callable, optional
@@ -116,10 +121,10 @@ def run_sequence(
     ``interrupted``.
     """
     if out is None:
-        return _run(scenario, None, single, animate, progress)
+        return _run(scenario, None, single, animate, False, progress)
     with results_folder(Path(out), _identity(scenario, single, scenario.sequence.frames), force=force) as folder:
         old = None if force else standing(folder, "sequence")
-        return _run(scenario, folder, single, animate, progress, old.amounts["frames"] if old else 0)
+        return _run(scenario, folder, single, animate, ccsds, progress, old.amounts["frames"] if old else 0)
 
 
 def _identity(scenario: Scenario, single: bool, frames: int) -> Identity:
@@ -134,6 +139,7 @@ def _run(
     folder: Path | None,
     single: bool,
     animate: bool,
+    ccsds: bool,
     progress: Progress | None,
     frames_standing: int = 0,
 ) -> Sequence:
@@ -187,10 +193,10 @@ def _run(
         sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
     if folder is None:
         return sequence
-    return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views))
+    return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views, ccsds))
 
 
-def _write(sequence: Sequence, folder: Path, views: list[FrameView]) -> tuple[str, ...]:
+def _write(sequence: Sequence, folder: Path, views: list[FrameView], ccsds: bool) -> tuple[str, ...]:
     """Write the result files atomically."""
     from simulator.study.sequence.page import sequence_html
 
@@ -206,5 +212,7 @@ def _write(sequence: Sequence, folder: Path, views: list[FrameView]) -> tuple[st
         program = find_ffmpeg()
         if program is not None:
             files["sequence.mp4"] = mp4_bytes(views, sequence.columns, sequence.scenario.name, program)
+    if ccsds:
+        files |= sequence_messages(sequence.scenario, sequence.columns, sequence.summary["finished_utc"])
     write_files(folder, files)
     return tuple(files)

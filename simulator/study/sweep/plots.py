@@ -130,13 +130,14 @@ def against(table: dict[str, Any], path: str) -> SweepFigure:
     for quantity in _QUANTITIES:
         limit_deg = table["specification_deg"].get(quantity.name)
         limit = limit_deg and limit_deg * _ARCSEC
-        note = "" if limit is None else f"specified 3σ {limit:.4g}″"
+        note = "" if limit is None else f"specified {limit:.4g}″"
         draw = functools.partial(_draw_against, curves, quantity, limit)
         panels.append(Panel(_TITLES[quantity.name], note, draw))
     return SweepFigure(
         f"errors_against_{path.replace('.', '_')}",
         f"By {key_label(axis)}",
-        "Rms error (left scale) and 3σ, three times the rms (right scale); dashed: specified 3σ. "
+        "Rms error (left scale) and three times the rms (right scale); dashed: the specified limit, judged by the "
+        "percentile of the errors and not by three times their rms. "
         "Bars: 95 % intervals, by bootstrap, and Wilson's for the identification rate. "
         + ("" if shown is not None else "The other keys vary between points. ")
         + ("Grey crosses: unphysical points. " if curves.refused else "")
@@ -148,7 +149,7 @@ def against(table: dict[str, Any], path: str) -> SweepFigure:
 
 
 def _draw_against(curves: _Curves, quantity: _Quantity, limit: float | None, ax: Axes) -> None:
-    """One quantity by one key; `limit` is the specified 3σ, arcseconds."""
+    """One quantity by one key; `limit` is the specified one, arcseconds."""
     path = curves.axis["path"]
     if curves.families is not None:
         for (_, colour, marker, _), (label, points) in zip(_LOOKS, curves.families.items(), strict=False):
@@ -287,7 +288,7 @@ def _dress_x(ax: Axes, axis: dict[str, Any]) -> None:
 
 
 def _dress_y(ax: Axes, quantity: _Quantity, values: NDArray[np.float64], limit: float | None) -> None:
-    """Scale and label of a quantity; for an error 3σ on the right, and the specification if it is within range.
+    """Scale and label of a quantity; for an error three times the rms on the right, and the limit if in range.
 
     Parameters
     ----------
@@ -298,7 +299,7 @@ def _dress_y(ax: Axes, quantity: _Quantity, values: NDArray[np.float64], limit: 
     values : array
         Values of the panel.
     limit : float, optional
-        Specified 3σ, arcseconds.
+        Specified limit, arcseconds.
     """
     values = values[values > 0]
     if quantity.name == "identification_rate":
@@ -316,7 +317,7 @@ def _dress_y(ax: Axes, quantity: _Quantity, values: NDArray[np.float64], limit: 
             ax.set_ylim(bottom=0)
         # created after the scale is set: a secondary axis loses its ticks if its parent's scale changes
         right = ax.secondary_yaxis("right", functions=(_three_sigma, _rms))
-        right.set_ylabel("3σ [arcsec]", fontsize=8)
+        right.set_ylabel("3 × rms [arcsec]", fontsize=8)
         if wide:
             _decades(right.yaxis)
     ax.set_ylabel(_Y_LABELS.get(quantity.name, "rms error [arcsec]"))

@@ -17,6 +17,7 @@ from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
+from simulator.study.trials.systematic import explained_deg
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -153,6 +154,7 @@ class TrialRunner:
             "longitude_deg": instant.longitude_deg,
             "sunlit": instant.sunlit,
             "temperature_c": scenario.detector.temperature_c,
+            "particles_cm2_s": truth.particles_cm2_s,
         }
         errors = dict.fromkeys(_ERRORS, math.nan)
         sigma, estimate = [math.nan] * 3, [math.nan] * 4
@@ -175,7 +177,8 @@ class TrialRunner:
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
         wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
-        row["wrong"] = is_wrong(wrong_stars, row["nees"], error_deg, bound_deg)
+        explained = explained_deg(self.renderer, truth, matched, bound_deg)
+        row["wrong"] = is_wrong(wrong_stars, row["nees"], error_deg, explained)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
         stars, bodies = in_field(frame.camera, sources, scenario.tracker.magnitude_limit)
         residuals = fitted.residual_px.ravel()

@@ -1,0 +1,53 @@
+"""Trajectory and attitudes of a sequence as messages of CCSDS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.build import build_orbit
+from simulator.mission.messages import Header, acm_text, aem_text, oem_text
+from simulator.scenario import Scenario
+from simulator.study.statistics import CAMERA_AXES
+
+__all__ = ["sequence_messages"]
+
+_QUATERNION = ("qx", "qy", "qz", "qw")
+
+
+def sequence_messages(scenario: Scenario, columns: Mapping[str, NDArray[Any]], created: str) -> dict[str, str]:
+    """Files by name: ``trajectory.oem`` and ``true.aem``, the truth at the frames; ``estimated.aem``, the attitudes of
+    the tracker where it has one, and ``estimated.acm``, the same with their variances.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario of the sequence.
+    columns : mapping
+        Columns of ``sequence.parquet``.
+    created : str
+        Date and time of the files, UTC.
+    """
+    orbit, t_s = build_orbit(scenario), np.asarray(columns["t_s"], dtype=float)
+    true, estimated = (
+        np.stack([columns[f"{prefix}{name}"] for name in _QUATERNION], axis=1) for prefix in ("true_", "")
+    )
+    sigma_deg = np.stack([columns[f"sigma_{axis}_deg"] for axis in CAMERA_AXES], axis=1)
+
+    def header(comment: str) -> Header:
+        return Header(scenario.name, created.removesuffix("+00:00"), comment)
+
+    files = {"true.aem": aem_text(orbit.clock, t_s, true, header("true attitude at mid-exposure"))}
+    if len(t_s) > 1:
+        files["trajectory.oem"] = oem_text(orbit, t_s, header("true trajectory at mid-exposure"))
+    known = np.isfinite(estimated).all(axis=1) & np.isfinite(sigma_deg).all(axis=1)
+    if known.any():
+        rows = t_s[known], estimated[known]
+        files["estimated.aem"] = aem_text(orbit.clock, *rows, header("attitude by the star tracker"))
+        files["estimated.acm"] = acm_text(
+            orbit.clock, *rows, sigma_deg[known] ** 2, header("attitude by the star tracker, with its variances")
+        )
+    return files

@@ -1,0 +1,77 @@
+"""Every command judges one specification with the same words: run, sequence, sweep, design, coverage and the report."""
+
+import json
+
+import pytest
+
+from simulator.cli import _run
+
+CAMERA = """\
+base: cubesat
+name: judged
+detector: {width: 256, height: 256}
+optics: {focal_length_mm: 8, aperture_mm: 5.6}
+pointing: {rate_deg_s: [0.02, 0.0, 0.0]}
+sequence: {frames: 60, step_s: 5}
+specification:
+  roll_deg: null
+  pitch_deg: null
+  yaw_deg: null
+  across_deg: LIMIT
+  about_boresight_deg: 1.0
+  percentile: 50
+"""
+# with 50 % 6 frames can show that a requirement is met: 0.5^6 = 0.016; the sequence has 7 independent ones
+
+
+@pytest.mark.parametrize(("limit_deg", "expected"), [(0.02, "met"), (1.0e-5, "not met")])
+def test_all_commands_give_the_same_verdict(tmp_path, monkeypatch, capsys, limit_deg, expected):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "judged.yaml").write_text(CAMERA.replace("LIMIT", f"{limit_deg:g}"))
+
+    def printed():
+        return " ".join(capsys.readouterr().out.split())
+
+    assert _run(["run", "judged.yaml", "--trials", "40", "--out", "run"]) == 0
+    text = printed()
+    assert f"Specification: {expected}" in text
+    summary = json.loads((tmp_path / "run/summary.json").read_text())
+    assert summary["verdict"]["verdict"] == expected
+    assert " ".join(summary["verdict"]["text"].split()) in text
+    assert list(summary["specification"]) == ["across", "about_boresight"]
+    page = (tmp_path / "run/report.html").read_text()
+    assert summary["verdict"]["text"] in page
+
+    assert _run(["run", "judged.yaml", "--sequence", "--out", "sequence"]) == 0
+    assert f"Specification: {expected}" in printed()
+    sequence = json.loads((tmp_path / "sequence/sequence.json").read_text())
+    assert sequence["verdict"]["verdict"] == expected
+    assert sequence["verdict"]["text"] in (tmp_path / "sequence/sequence.html").read_text()
+    assert sequence["specification"]["across"]["frames"] <= 60
+
+    sweep = ["sweep", "judged.yaml", "--over", "optics.aperture_mm=5.6,5.7", "--trials", "40", "--out", "sweep"]
+    assert _run(sweep) == 0
+    table = json.loads((tmp_path / "sweep/sweep.json").read_text())
+    assert [point["verdict"]["verdict"] for point in table["points"]] == [expected] * 2
+    # the first point is the run
+    assert table["points"][0]["verdict"]["text"] == summary["verdict"]["text"]
+    assert f"{expected} at 2 points" in " ".join((tmp_path / "sweep/sweep.html").read_text().split()).replace(
+        f'<b class="{"good" if expected == "met" else "bad"}">{expected}</b>', expected
+    )
+    printed()
+
+    over = ["--over", "optics.aperture_mm", "--from", "5.6", "--to", "5.7", "--steps", "2", "--boresights", "200"]
+    loose = ["--stars", "3", "--availability", "0.5", "--path", "--verify", "40", "--out", "design"]
+    assert _run(["study", "design", "judged.yaml", *over, *loose]) == (0 if expected == "met" else 1)
+    design = json.loads((tmp_path / "design/design.json").read_text())
+    assert design["points"][0]["met"] is (expected == "met")
+    assert design["points"][0]["specification"]["across"]["verdict"] == expected
+    if expected == "met":
+        assert design["answer"] == 5.6
+        # the same trials as those of the run
+        assert design["verification"]["verdict"]["text"] == summary["verdict"]["text"]
+        assert "Specification: met: smallest margin" in printed()
+
+    assert _run(["study", "coverage", "judged.yaml", "--path", "--boresights", "200", "--out", "coverage"]) == 0
+    assert f"Specification: {expected} (predicted)" in printed()
+    assert json.loads((tmp_path / "coverage/coverage.json").read_text())["verdict"]["verdict"] == expected
