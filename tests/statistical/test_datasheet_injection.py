@@ -112,13 +112,14 @@ def test_uneven_pixels_alone(axis: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_interpolation_error_alone(axis: int) -> None:
-    """A narrow image and moments: the error has the period of a pixel, and is the same behind other pixels."""
-    found, _ = scanned(optics__psf__sigma_px=0.35, tracker__centroider="moment")
+    """The measured curve of a pixel, A sin 2πx on each axis: it has the period of a pixel, and is the same behind other
+    pixels."""
+    found, _ = scanned(detector__intra_pixel__centroid_curve_px=0.1)
     contains_total(found, "pixel_spatial", axis)
     leak = leaks(found, "pixel_spatial", axis)
     assert leak["temporal_noise"] < 0.01
-    # stars that enter or leave change the error also between the harmonics: 1 of some 12 in a scan of 54 of 384 pixels
-    assert leak["fov_spatial"] < 0.3
+    assert leak["bias"] < 0.1
+    assert leak["fov_spatial"] < 0.1
 
 
 @pytest.mark.slow
@@ -144,20 +145,23 @@ def test_decentring_alone_is_thermo_elastic_bias() -> None:
 
 
 def test_decentring_is_thermo_elastic() -> None:
-    """The same closed form, for a step of 10 K: 5 µm over 12.5 mm. Stars move by 0.9 pixels, which changes the
-    interpolation error of the centroids, without noise below 0.01 pixels."""
+    """The same closed form, for a step of 10 K: 5 µm over 12.5 mm. Stars move by 0.9 pixels, which
+    changes the interpolation error of the centroids, without noise below 0.01 pixels or 0.9″, by a different amount
+    for each of some 12 stars and 8 fields: 0.1″, and five times this."""
     values = QUIET | {"optics.thermal.decentring_um_k": (0.5, 0.0)}
     scenario = Scenario.load("scenarios/cubesat.yaml").changed(values)
     found = residuals(scenario, TaskRunner(), replace(QUICK, per_point=8))
     named = {(q.name, q.axis): q.estimate.value for q in found}
-    assert abs(named["thermo_elastic_mean", "cross_y"] or 0.0) == pytest.approx(82.5, abs=0.1)
+    assert abs(named["thermo_elastic_mean", "cross_y"] or 0.0) == pytest.approx(82.5, abs=0.5)
     assert abs(named["thermo_elastic_mean", "cross_x"] or 0.0) < 0.5
 
 
 def test_time_tag_is_a_rate_error() -> None:
-    """An error of the time by dt turns a camera at the rate ω by ω dt: 0.5°/s and 1 ms are 1.8″ about its axis."""
+    """An error of the time by dt turns a camera at the rate ω by ω dt: 0.5°/s and 1 ms are 1.8″ about its axis. Trailed
+    images without noise are measured to 0.01 pixels or 0.9″ each, some 12 a frame, and 8 frames: 0.1″; three times
+    this for the mean."""
     scenario = Scenario.load("scenarios/cubesat.yaml").changed(QUIET | {"detector.time_tag.offset_s": 1e-3})
     made = DatasheetFrames(scenario).at_rate(0, 8, 0.5)
     assert made["right"].all()
-    assert np.abs(made["along_deg"] * 3600.0) == pytest.approx(np.full(8, 1.8), abs=0.1)
-    assert np.abs(made["across_deg"] * 3600.0).max() < 0.1
+    assert abs(float(np.mean(made["along_deg"]))) * 3600.0 == pytest.approx(1.8, abs=0.3)
+    assert abs(float(np.mean(made["across_deg"]))) * 3600.0 < 0.3

