@@ -47,15 +47,6 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[Violation]:
             message = f"{values[f'detector.{key}']} is more than the {values['detector.width']} columns of the detector"
             yield impossible(f"detector.{key}", message + "; decrease it")
 
-    telegraph = {name: values[f"detector.telegraph.{name}"] for name in ("low_s", "high_s")}
-    shortest = min(telegraph, key=lambda name: telegraph[name])
-    if values["detector.telegraph.pixel_fraction"] > 0 and values["detector.exposure_s"] > 0.1 * telegraph[shortest]:
-        message = (
-            f"{telegraph[shortest]:g} s is less than ten exposures of {values['detector.exposure_s']:g} s, in which "
-            "the level of a pixel is taken as constant; use a longer time"
-        )
-        yield unphysical(f"detector.telegraph.{shortest}", message)
-
     second, third = values["detector.nonlinearity"]
     signal = np.linspace(0.0, 1.0, 1001)
     if np.any(1.0 + 2.0 * second * signal + 3.0 * third * signal**2 <= 0.0):
@@ -64,3 +55,15 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[Violation]:
             "use smaller values (1 % is 0.01)"
         )
         yield unphysical("detector.nonlinearity", message)
+
+
+def telegraph_times(values: Mapping[str, Any]) -> Iterator[Violation]:
+    """The levels of random telegraph pixels must outlast the exposure; `values` as in `contradictions`."""
+    telegraph = {name: values[f"detector.telegraph.{name}"] for name in ("low_s", "high_s")}
+    shortest = min(telegraph, key=lambda name: telegraph[name])
+    if values["detector.telegraph.pixel_fraction"] > 0 and values["detector.exposure_s"] > 0.1 * telegraph[shortest]:
+        message = (
+            f"{telegraph[shortest]:g} s is less than ten exposures of {values['detector.exposure_s']:g} s, in which "
+            "the level of a pixel is taken as constant; use a longer time"
+        )
+        yield unphysical(f"detector.telegraph.{shortest}", message)

@@ -330,6 +330,7 @@ RULES: tuple[Rule, ...] = (
     _exposure,
     _converter,
     detector_rules.contradictions,
+    detector_rules.telegraph_times,
     sequence_rules.contradictions,
     _guide_stars,
     _window,
