@@ -114,6 +114,7 @@ def test_run_leaves_its_four_files_and_says_the_same_on_one_and_two_workers(tmp_
 
 _INTERRUPTED_IMPORT = """
 import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in processes of a shell's background
 class Finder:
     def find_spec(self, name, *more):
         if name == "{module}":
