@@ -221,7 +221,7 @@ def test_contradictions_are_told():
     ("arguments", "words"),
     [
         (["--sequence", "--trials", "5"], "--trials: has no effect with --sequence"),
-        (["--frames", "5"], "--frames: belongs to --sequence"),
+        (["--frames", "5"], "--frames: requires --sequence"),
         (["--sequence", "--frames", "0"], "--frames: must be at least 1"),
         (["--sequence", "--step-s", "0"], "--step-s: must be above 0"),
     ],

@@ -193,6 +193,8 @@ def _figures(powers: dict[str, FloatArray], seed: int) -> dict[str, list[Estimat
         if ends is None:
             ends = np.full((len(mean), 2), np.nan)
         if name != "bias":
+            # noise makes an unresolved power negative; its upper limit is at least half the width of the interval
+            ends[:, 1] = np.maximum(ends[:, 1], 0.5 * (ends[:, 1] - ends[:, 0]))
             mean, ends = np.sqrt(np.maximum(mean, 0.0)), np.sqrt(np.maximum(ends, 0.0))
         figures[name] = [Estimate(float(m), float(e[0]), float(e[1])) for m, e in zip(mean, ends, strict=True)]
     return figures

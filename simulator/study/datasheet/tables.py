@@ -33,28 +33,34 @@ ROWS = (*CLASSES, "temporal_noise_worst_field", "noise_bound", "sum_of_classes",
 """Rows of the table of the accuracy."""
 
 
-def number_text(value: float) -> str:
-    """A number with three significant digits."""
-    if value == 0.0 or not math.isfinite(value):
+def number_text(value: float, largest: float | None = None) -> str:
+    """A number with three significant digits, or as many decimals as three digits of `largest` have."""
+    size = abs(value if largest is None else largest)
+    if size == 0.0 or not math.isfinite(value):
         return "0" if value == 0.0 else "–"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    return f"{value:.{min(digits, 6)}f}" if abs(value) >= 1e-4 else f"{value:.1e}"
+    decimals = max(0, 2 - math.floor(math.log10(size)))
+    shown = f"{value:.{decimals}f}" if decimals <= 6 else f"{value:.1e}"
+    return shown.replace("-", "−")
 
 
 def estimate_text(size: Estimate, unit: str = "", percent: bool = False) -> str:
-    """Value and interval: ``0.126″ (0.108 to 0.156)``."""
+    """Value and interval: ``0.126″ (0.108–0.156)``, or ``0.126″ (≥ 0.108)`` without an upper limit."""
     value, low, high = size.plain()
     if value is None:
         return "not determined"
     scale, sign = (100.0, " %") if percent else (1.0, UNITS.get(unit, unit))
     gap = " " if sign[:1].isalpha() else ""
-    shown = f"{number_text(scale * value)}{gap}{sign}"
+    known = [scale * part for part in (value, low, high) if part is not None]
+    largest = max(map(abs, known))
+    value_text, *ends = (number_text(part, largest) for part in known)
+    shown = f"{value_text}{gap}{sign}"
     if low is None and high is None:
         return shown
     if (low, high) == (value, value):
         return f"{shown} (exact)"
-    ends = ["open" if end is None else number_text(scale * end) for end in (low, high)]
-    return f"{shown} ({ends[0]} to {ends[1]})"
+    if low is None or high is None:
+        return f"{shown} ({'≤' if low is None else '≥'} {ends[0]})"
+    return f"{shown} ({' to '.join(ends) if low < 0.0 else '–'.join(ends)})"
 
 
 def accuracy_table(column: Column) -> Table:
