@@ -33,6 +33,9 @@ class FakeRunner:
         row: dict[str, object] = {
             "index": index,
             "t_s": values[0],
+            "true_ra_deg": 360.0 * values[1] % 360.0,
+            "true_dec_deg": 8.6,
+            "rate_deg_s": 0.06,
             "utc": f"2026-03-21T12:{index // 60 % 60:02d}:{index % 60:02d}.{index % 1000:03d}",
             "status": "solved" if values[1] < 2 else "too_few_stars",
             "reason": "" if values[1] < 2 else f"{index % 3} stars found",
