@@ -27,7 +27,7 @@ from simulator.mission.trajectory import Trajectory
 from simulator.optics.curves import Curve, load_curve
 from simulator.optics.displacement import Displacement, draw_residual
 from simulator.optics.jitter import load_spectrum
-from simulator.optics.psf import Lens
+from simulator.optics.lens import Lens
 from simulator.optics.psf_set import PsfSet
 from simulator.optics.stray_light import build_baffle
 from simulator.optics.thermal import true_camera

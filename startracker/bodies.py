@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.ephemeris import DE421_NAME, astrometric_au, barycentric, timescale
 from startracker.observer import Observer, aberrate
 
@@ -25,7 +26,7 @@ def body_directions(observer: Observer) -> dict[str, FloatArray]:
     InputError
         If the ephemeris (DE421: 1899-07-29 to 2053-10-09) does not cover the epoch.
     """
-    time = timescale().tt_jd(2451545.0 + 365.25 * (observer.epoch_jyear - 2000.0))
+    time = timescale().tt_jd(J2000_JD_TT + DAYS_PER_JULIAN_YEAR * (observer.epoch_jyear - 2000.0))
     earth_au = barycentric("Earth", time).xyz.au
     unknown = {"Earth"} if observer.position_au is not None else {"Earth", "Moon"}
     names = [name for name in DE421_NAME if name not in unknown]

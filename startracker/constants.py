@@ -16,5 +16,7 @@ AU_KM = 149_597_870.7
 ARCSEC_RAD = math.pi / 648_000.0
 """One second of arc in radians."""
 
+ARCSEC_PER_DEG = 3600.0
+
 MAS_RAD = ARCSEC_RAD / 1000.0
 """One milliarcsecond in radians."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.errors import InputError
 
 __all__ = ["DE421_NAME", "astrometric_au", "barycentric", "de421", "timescale"]
@@ -75,10 +76,10 @@ def barycentric(body: str, time: Any) -> Any:
     try:
         return de421()[DE421_NAME[body]].at(time)
     except EphemerisRangeError:
-        farthest = max(np.atleast_1d(time.tdb), key=lambda jd: abs(jd - 2_451_545.0))
+        farthest = max(np.atleast_1d(time.tdb), key=lambda jd: abs(jd - J2000_JD_TT))
         raise InputError(
             f"the ephemeris DE421 covers 1899-07-29 to 2053-10-09; Julian date {farthest:.2f} (year "
-            f"{2000 + (farthest - 2451545) / 365.25:.1f}) is outside: choose an epoch within"
+            f"{2000 + (farthest - J2000_JD_TT) / DAYS_PER_JULIAN_YEAR:.1f}) is outside: choose an epoch within"
         ) from None
 
 

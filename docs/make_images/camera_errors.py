@@ -10,7 +10,8 @@ import numpy as np
 
 from simulator import Scenario
 from simulator.build import build_focal_plane
-from simulator.optics.psf import Lens, psf_of
+from simulator.optics.lens import Lens
+from simulator.optics.psf import psf_of
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
 from simulator.study.trials.trial import TrialRunner, solve_frame

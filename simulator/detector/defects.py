@@ -33,7 +33,7 @@ def hot_defects(
     dark, where = np.zeros(shape), np.zeros(shape, dtype=bool)
     if pixels:
         rng = stream(seed, "hot_pixels")
-        chosen = _some_pixels(detector.hot_pixel_fraction, dark.size, rng)
+        chosen = some_pixels(detector.hot_pixel_fraction, dark.size, rng)
         dark.flat[chosen] = rng.exponential(detector.hot_pixel_dark_e_s * dark_factor, size=chosen.size)
         where.flat[chosen] = True
     if columns:
@@ -68,7 +68,7 @@ def dead_defects(detector: DetectorParameters, seed: int) -> NDArray[np.bool_] |
         return None
     where = np.zeros((detector.height, detector.width), dtype=bool)
     if detector.dead_pixel_fraction > 0:
-        chosen = _some_pixels(detector.dead_pixel_fraction, where.size, stream(seed, "dead_pixels"))
+        chosen = some_pixels(detector.dead_pixel_fraction, where.size, stream(seed, "dead_pixels"))
         where.flat[chosen] = True
     if detector.dead_columns > 0:
         rng = stream(seed, "dead_columns")
@@ -76,7 +76,8 @@ def dead_defects(detector: DetectorParameters, seed: int) -> NDArray[np.bool_] |
     return where
 
 
-def _some_pixels(fraction: float, pixels: int, rng: np.random.Generator) -> NDArray[np.int64]:
+def some_pixels(fraction: float, pixels: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Flat indices of a binomial number of pixels, each chosen once, in random order."""
     return rng.choice(pixels, size=rng.binomial(pixels, fraction), replace=False)
 
 

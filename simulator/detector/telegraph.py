@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.detector.defects import some_pixels
 from simulator.detector.parameters import DetectorParameters, RandomTelegraph
 from simulator.randomness import stream
 
@@ -87,9 +88,8 @@ def telegraph_pixels(detector: DetectorParameters, dark_factor: float, seed: int
     process = detector.telegraph
     if not (process.pixel_fraction > 0 and process.dark_e_s > 0):
         return None
-    rng, size = stream(seed, "telegraph"), detector.width * detector.height
-    chosen = rng.choice(size, size=rng.binomial(size, process.pixel_fraction), replace=False)
-    chosen.sort()
+    rng = stream(seed, "telegraph")
+    chosen = np.sort(some_pixels(process.pixel_fraction, detector.width * detector.height, rng))
     return TelegraphPixels(chosen, rng.exponential(process.dark_e_s * dark_factor, len(chosen)), process, seed)
 
 

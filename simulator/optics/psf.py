@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfcinv
 
 from simulator.optics import airy, diffraction
+from simulator.optics.lens import Lens
 from simulator.optics.measured import measured_centroid
 from simulator.optics.pixel_response import gaussian_shares
 from simulator.optics.psf_model import PsfModel
@@ -58,32 +59,6 @@ _PHASES_PER_SIGMA, _MOST_PHASES = 8, 128
 
 _INTERPOLATION = 2e-4
 """Error of the interpolation between the phases of an aberrated image, relative to its peak."""
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Parameters of lens and detector that determine a star image, in addition to the PSF model."""
-
-    f_number: float
-    """Focal length over aperture."""
-    pitch_um: tuple[float, float]
-    """Pixel pitch along columns and rows, µm."""
-    obscuration: float = 0.0
-    """Diameter of the central obscuration over that of the aperture."""
-    diffusion_um: float = 0.0
-    """Standard deviation of the spreading of charge, µm."""
-    contrast: float = 0.0
-    """Contrast of the response across a pixel (`simulator.optics.pixel_response`)."""
-
-    @property
-    def aspect(self) -> float:
-        """Pitch along columns over pitch along rows."""
-        return self.pitch_um[0] / self.pitch_um[1]
-
-    @property
-    def diffusion_px(self) -> float:
-        """Standard deviation of the spreading of charge, pixels along columns."""
-        return self.diffusion_um / self.pitch_um[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.optics import diffraction
-from simulator.optics.psf import Lens, Psf, aberrated, psf_of
+from simulator.optics.lens import Lens
+from simulator.optics.psf import Psf, aberrated, psf_of
 from simulator.optics.psf_model import FieldAberrations, PsfModel
 from startracker.errors import InputError
 
@@ -248,7 +249,7 @@ def build_psf_set(
     diffusion_um: float = 0.0,
     weights_of: WeightsOf | None = None,
 ) -> PsfSet:
-    """The PSFs of a scenario; parameters as in `simulator.optics.psf.Lens` and `PsfSet`."""
+    """The PSFs of a scenario; parameters as in `simulator.optics.lens.Lens` and `PsfSet`."""
     return PsfSet(psf_model, Lens(f_number, pitch_um, obscuration, diffusion_um), size_px, weights_of)
 
 

@@ -76,8 +76,8 @@ def test_the_same_bytes_after_an_interruption_and_on_one_worker(
     kept = TaskRunner._keep
     finished: list[str] = []
 
-    def stop_after_ten(self: TaskRunner, key: str, columns: dict[str, object]) -> None:
-        kept(self, key, columns)  # type: ignore[arg-type]
+    def stop_after_ten(self: TaskRunner, key: str, columns: Columns) -> None:
+        kept(self, key, columns)
         finished.append(key)
         if len(finished) == 10:
             raise Interrupted("interrupted")

@@ -18,8 +18,9 @@ from scipy.special import j1
 from simulator import Renderer, Scenario
 from simulator.optics.displacement import C_LINE_NM, F_LINE_NM, CalibrationResidual, Displacement, LateralColour
 from simulator.optics.displacement import draw_residual as drawn
+from simulator.optics.lens import Lens
 from simulator.optics.pixel_response import transfer
-from simulator.optics.psf import PSFS, Lens
+from simulator.optics.psf import PSFS
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
 from simulator.study.trials.trial import TrialRunner

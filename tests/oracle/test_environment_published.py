@@ -18,10 +18,10 @@ from simulator.environment.dose import dose, orbit_positions, orbit_radiation
 from simulator.environment.galactic import PROTON, cutoff_gv, intensity
 from simulator.environment.parameters import Environment
 from simulator.environment.transients import Transients
+from simulator.environment.trapped import TrappedBelts, _above
 
 aep8 = pytest.importorskip("aep8")
 units = pytest.importorskip("astropy.units")
-from simulator.environment.trapped import TrappedBelts, _above  # noqa: E402
 
 # NIST PSTAR, downloaded tables of aluminium and silicon: rows that the package's own table leaves out.
 # MeV; total stopping power and range of aluminium; total stopping power of silicon

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.optics.psf import Lens, aberrated
+from simulator.optics.lens import Lens
+from simulator.optics.psf import aberrated
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.pupil import mean_slope
 from simulator.optics.splat import render_stars

@@ -10,7 +10,8 @@ import pytest
 from scipy.integrate import quad
 
 from simulator.optics import airy, diffraction, pupil
-from simulator.optics.psf import Lens, aberrated, build_psf
+from simulator.optics.lens import Lens
+from simulator.optics.psf import aberrated, build_psf
 from simulator.optics.psf_model import FieldAberrations, PsfModel, Zernike
 from simulator.optics.psf_set import build_psf_set
 from simulator.optics.splat import render_stars

@@ -15,7 +15,7 @@ from simulator.mission.motion import rate_profile
 from simulator.study.datasheet import frames
 from simulator.study.datasheet.accuracy import normal_factor
 from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of, upper_limit
-from simulator.study.datasheet.performance import ACQUIRED, bracket, frames_needed, recovery_frames, swinging
+from simulator.study.datasheet.performance import ACQUIRED, bracket, frames_to_acquire, recovery_frames, swinging
 from simulator.study.datasheet.run import stages_of
 from simulator.study.datasheet.sheet import Quantity, select
 from simulator.study.datasheet.tables import estimate_text
@@ -77,10 +77,10 @@ def test_a_bracket_is_open_where_nothing_fails_or_passes() -> None:
 
 @pytest.mark.parametrize("share", [0.05, 0.5, 0.9, 0.99, 0.9969])
 def test_frames_of_an_acquisition(share: float) -> None:
-    count = frames_needed(share)
+    count = frames_to_acquire(share)
     assert count is not None
     assert 1.0 - (1.0 - share) ** count >= ACQUIRED > 1.0 - (1.0 - share) ** (count - 1.0)
-    assert (frames_needed(1.0), frames_needed(0.0), frames_needed(None)) == (1.0, None, None)
+    assert (frames_to_acquire(1.0), frames_to_acquire(0.0), frames_to_acquire(None)) == (1.0, None, None)
 
 
 def test_recovery_after_an_interruption() -> None:

@@ -20,12 +20,11 @@ from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.intervals import moment_intervals, ratios_of_rms
 from simulator.study.statistics import CAMERA_AXES
+from startracker.constants import ARCSEC_PER_DEG
 
 __all__ = ["Accuracy", "errors_arcsec", "measure_accuracy", "normal_factor"]
 
 FloatArray = NDArray[np.float64]
-
-ARCSEC_PER_DEG = 3600.0
 
 RESAMPLES = 400
 """Bootstrap samples of the percentiles of the temporal noise."""

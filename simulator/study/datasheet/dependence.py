@@ -10,12 +10,13 @@ import numpy as np
 
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
-from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of, upper_limit
+from simulator.study.datasheet.estimates import Estimate, cross_square_deg2, mean_of, proportion, rms_of, upper_limit
 from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.sheet import LEVELS, Quantity
 from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.statistics import CAMERA_AXES
+from startracker.constants import ARCSEC_PER_DEG
 
 __all__ = ["Series", "residuals", "robustness", "temperature"]
 
@@ -36,8 +37,6 @@ DEFAULT_HOT_E_S = 5000.0
 
 THERMAL_KEYS = ("optics.thermal.expansion_ppm_k", "optics.thermal.decentring_um_k")
 """Keys that make the image depend on the temperature of the lens."""
-
-_ARCSEC = 3600.0
 
 
 class Series(NamedTuple):
@@ -81,7 +80,7 @@ def residuals(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[
     """Residual of the aberration and thermo-elastic error, by axis."""
     count = amounts.per_point
     no_deflection = scenario.changed({"sky.light_deflection": False})  # which the tracker does not correct
-    errors = runner.run([Task(no_deflection, "model_residuals", (0, count))])[0]["error_deg"] * _ARCSEC
+    errors = runner.run([Task(no_deflection, "model_residuals", (0, count))])[0]["error_deg"] * ARCSEC_PER_DEG
     term = TERMS["aberration"]
     method = f"{term.method}; {count} fields, position and velocity of the spacecraft known exactly"
     quantities = []
@@ -112,7 +111,7 @@ def _thermo_elastic(scenario: Scenario, runner: TaskRunner, count: int) -> list[
     both = np.logical_and.reduce([found["solved"] & (found["stars_misidentified"] == 0) for found in (before, after)])
     quantities = []
     for axis in CAMERA_AXES:
-        change = (after[f"error_{axis}_deg"] - before[f"error_{axis}_deg"])[both] * _ARCSEC
+        change = (after[f"error_{axis}_deg"] - before[f"error_{axis}_deg"])[both] * ARCSEC_PER_DEG
         method = f"{term.method}; {len(change)} pairs of trials"
         size = mean_of(change, scenario.seed)
         quantities.append(Quantity("thermo_elastic_mean", title, size, axis=axis, method=method, **words))
@@ -137,11 +136,11 @@ def _series(
 def _point(value: float, columns: Columns, seed: int) -> dict[str, Any]:
     """Availability, and rms of the correct attitudes, at one value of the condition."""
     right = columns["right"]
-    across = np.sqrt(0.5 * (columns["error_cross_x_deg"] ** 2 + columns["error_cross_y_deg"] ** 2))[right]
+    across = np.sqrt(cross_square_deg2(columns))[right]
     return {
         "value": float(value),
         "available": list(proportion(right)),
-        "cross_rms_arcsec": list(rms_of(across * _ARCSEC, seed)),
-        "about_rms_arcsec": list(rms_of(columns["error_about_boresight_deg"][right] * _ARCSEC, seed)),
+        "cross_rms_arcsec": list(rms_of(across * ARCSEC_PER_DEG, seed)),
+        "about_rms_arcsec": list(rms_of(columns["error_about_boresight_deg"][right] * ARCSEC_PER_DEG, seed)),
         "method": f"{int(np.sum(right))} correct of {len(right)} trials",
     }

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from simulator.study.intervals import FEWEST, moment_intervals, percentile_interval, wilson_interval
 
-__all__ = ["CONFIDENCE", "Estimate", "mean_of", "proportion", "rms_of", "upper_limit"]
+__all__ = ["CONFIDENCE", "Estimate", "cross_square_deg2", "mean_of", "proportion", "rms_of", "upper_limit"]
 
 CONFIDENCE = 0.95
 """Confidence of all intervals."""
@@ -36,6 +36,11 @@ class Estimate(NamedTuple):
     def half_width(self) -> float | None:
         """Half the width of the interval."""
         return None if self.low is None or self.high is None else 0.5 * (self.high - self.low)
+
+
+def cross_square_deg2(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """Mean square error per axis across the boresight, of each frame."""
+    return np.asarray(0.5 * (columns["error_cross_x_deg"] ** 2 + columns["error_cross_y_deg"] ** 2))
 
 
 def rms_of(errors: ArrayLike, seed: int = 0) -> Estimate:

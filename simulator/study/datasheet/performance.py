@@ -14,6 +14,7 @@ from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, r
 from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.tasks import Columns, Task, TaskRunner, trial_tasks
+from startracker.constants import ARCSEC_PER_DEG
 
 __all__ = ["Limit", "acquisition", "bracket", "exclusion", "rates", "tracking"]
 
@@ -34,8 +35,6 @@ FIRST_SHARE = 0.25
 
 _OUTAGES_S = (1.0, 5.0)
 """Duration of the interruptions after which recovery is measured."""
-
-_ARCSEC = 3600.0
 
 
 class Limit(NamedTuple):
@@ -95,7 +94,7 @@ def acquisition(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> lis
         wrong = proportion(found["wrong"])
         method = f"{count} random attitudes over the whole sky, one frame each; {int(np.sum(found['right']))} correct"
         words: dict[str, Any] = {"interpretation": "ensemble", "method": method}
-        frames = Estimate(*(frames_needed(share) for share in (right.value, right.high, right.low)))
+        frames = Estimate(*(frames_to_acquire(share) for share in (right.value, right.high, right.low)))
         quantities += [
             Quantity(f"acquisition_probability_{name}", f"Acquisition probability, {title}", right, **words),
             Quantity(f"acquisition_wrong_{name}", f"Wrong attitudes, {title}", wrong, **words),
@@ -111,7 +110,7 @@ def acquisition(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> lis
     return quantities
 
 
-def frames_needed(share: float | None) -> float | None:
+def frames_to_acquire(share: float | None) -> float | None:
     """Number of frames after which an attitude is known with the probability `ACQUIRED`; None without success."""
     if not share:
         return None
@@ -132,7 +131,7 @@ def rates(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> tuple[Qua
         found = at(rate)
         point: dict[str, Any] = {"rate_deg_s": rate, "available": list(proportion(found["right"]))}
         for part in ("along", "across", "about"):
-            errors = found[f"{part}_deg"] * _ARCSEC
+            errors = found[f"{part}_deg"] * ARCSEC_PER_DEG
             point[f"{part}_rms_arcsec"] = list(rms_of(errors, scenario.seed))
             point[f"{part}_mean_arcsec"] = list(mean_of(errors, scenario.seed))
         points.append(point)

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.scenario import Scenario
 from simulator.study.coverage.survey import Coverage, coverage
-from simulator.study.datasheet.estimates import Estimate, mean_of, proportion
+from simulator.study.datasheet.estimates import Estimate, cross_square_deg2, mean_of, proportion
 from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.tasks import Columns
+from startracker.constants import ARCSEC_PER_DEG
 
 __all__ = ["availability", "sky_coverage"]
 
@@ -91,7 +92,7 @@ def _against_stars(columns: Columns) -> list[dict[str, Any]]:
     """Mean square error per axis across the boresight, in groups of equal size by the number of stars."""
     right = columns["right"]
     stars = columns["stars_matched"][right]
-    squares = 0.5 * (columns["error_cross_x_deg"] ** 2 + columns["error_cross_y_deg"] ** 2)[right] * 3600.0**2
+    squares = cross_square_deg2(columns)[right] * ARCSEC_PER_DEG**2
     groups = min(8, len(stars) // FEWEST_STARS_OF_A_TREND)
     points = []
     for members in np.array_split(np.argsort(stars, kind="stable"), groups) if groups else ():

@@ -14,11 +14,11 @@ from simulator.study.statistics import AXES
 from simulator.study.style import BLUE, SOFT, Panel
 from simulator.study.sweep.compare import ComparedRun, Comparison
 from simulator.study.sweep.page import interval_text, number_text, percent_text, value_text
+from startracker.constants import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_ARCSEC = 3600.0
 _QUANTITIES = (*AXES, "rate", "stars")
 
 
@@ -128,7 +128,7 @@ def _numbers(statistics: dict[str, Any], name: str) -> tuple[float, float, float
     elif name == "stars":
         keys, scale = ["stars_matched_mean", "", ""], 1.0
     else:
-        keys, scale = [f"{name}_{end}_deg" for end in ("rms", "rms_low", "rms_high")], _ARCSEC
+        keys, scale = [f"{name}_{end}_deg" for end in ("rms", "rms_low", "rms_high")], ARCSEC_PER_DEG
     found = [statistics.get(key) for key in keys]
     value, low, high = (np.nan if number is None else number * scale for number in found)
     return value, low, high

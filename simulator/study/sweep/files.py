@@ -5,18 +5,22 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from simulator.paths import make_folder, open_atomically, write_atomically
 from simulator.scenario import Scenario
+from simulator.scenario.grid import SweptKey
 from simulator.scenario.output import yaml_value
 from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
+from simulator.study.result_files import parquet_bytes
 from simulator.study.specification.measured import JUDGED_COLUMNS, judge_frames
+from simulator.study.trials.checked_files import write_checked
 from simulator.study.trials.columns import Columns
 
 RESULT_FILES = ("sweep.parquet", "points.csv", "sweep.json", "sweep.html", "plots")
@@ -29,6 +33,20 @@ def point_files(folder: Path) -> dict[int, Path]:
     """Files of finished points, ``POINT-CHECKSUM.parquet``, by the point's number."""
     found = {int(path.stem.split("-")[0]): path for path in folder.glob("[0-9]*-*.parquet")}
     return dict(sorted(found.items()))
+
+
+def write_point(swept: Sequence[SweptKey], values: Sequence[Any], index: int, trials: pa.Table, kept: Path) -> None:
+    """Store the trials of a point, preceded by columns of its number and values."""
+    n = trials.num_rows
+    columns: dict[str, pa.Array] = {"point": pa.array(np.full(n, index, dtype=np.int32))}
+    for axis, value in zip(swept, values, strict=True):
+        if axis.numeric:
+            columns[axis.path] = pa.array([value] * n, pa.int64() if axis.whole else pa.float64())
+        else:
+            columns[axis.path] = pa.array([str(cell(value))] * n, pa.string())
+    for name in trials.column_names:
+        columns[name] = trials[name]
+    write_checked(kept, f"{index:06d}", parquet_bytes(pa.table(columns), compression="zstd"))
 
 
 def write_results(

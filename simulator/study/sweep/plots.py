@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from simulator.study.plots import TITLES, picture, save_bytes
 from simulator.study.statistics import AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
+from startracker.constants import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +35,6 @@ _LOOKS = (
 )
 """Of each curve: name of its colour in `simulator.study.style.COLOURS`, colour, marker, and marker in a legend."""
 
-_ARCSEC = 3600.0
 Point = dict[str, Any]
 
 
@@ -75,7 +75,7 @@ class _Quantity(NamedTuple):
 
 
 _QUANTITIES = (
-    *(_Quantity(axis, f"{axis}_rms_deg", _ARCSEC) for axis in AXES),
+    *(_Quantity(axis, f"{axis}_rms_deg", ARCSEC_PER_DEG) for axis in AXES),
     _Quantity("identification_rate", "identification_rate", 100.0),
     _Quantity("stars_matched_mean", "stars_matched_mean", 1.0),
 )
@@ -129,7 +129,7 @@ def against(table: dict[str, Any], path: str) -> SweepFigure:
     panels = []
     for quantity in _QUANTITIES:
         limit_deg = table["specification_deg"].get(quantity.name)
-        limit = limit_deg and limit_deg * _ARCSEC
+        limit = limit_deg and limit_deg * ARCSEC_PER_DEG
         note = "" if limit is None else f"specified {limit:.4g}″"
         draw = functools.partial(_draw_against, curves, quantity, limit)
         panels.append(Panel(_TITLES[quantity.name], note, draw))

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -27,7 +26,7 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
 from simulator.study.data_frames import Rows
-from simulator.study.result_files import now_utc, parquet_bytes
+from simulator.study.result_files import now_utc
 from simulator.study.results_folder import (
     FILES,
     IDENTITY_FILE,
@@ -40,8 +39,8 @@ from simulator.study.results_folder import (
 )
 from simulator.study.specification.requirements import specification_of
 from simulator.study.specification.verdicts import frames_needed
-from simulator.study.sweep.files import cell, point_files, write_results
-from simulator.study.trials.checked_files import fault_of, set_aside, write_checked
+from simulator.study.sweep.files import cell, point_files, write_point, write_results
+from simulator.study.trials.checked_files import fault_of, set_aside
 from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
 from simulator.study.trials.process_pool import WorkerPool
 from simulator.study.trials.trial import TrialRunner
@@ -321,7 +320,7 @@ def _run_points(plan: Plan, kept: Path, state: _State, where: Where, progress: P
                     state.interrupted = True
                     break
                 else:
-                    _write_point(plan, point, trials.table, kept)
+                    write_point(plan.swept, point.values, point.index, trials.table, kept)
                     state.trials_run += _trials_of(point)
                     done += _trials_of(point)
 
@@ -359,20 +358,6 @@ def _describe(axis: SweptKey) -> dict[str, Any]:
         "range": None if axis.low is None else [axis.low, axis.high],
         "values": [cell(v) for v in axis.values],
     }
-
-
-def _write_point(plan: Plan, point: Point, trials: pa.Table, kept: Path) -> None:
-    """Store the trials of a point, preceded by columns of its number and values."""
-    n = trials.num_rows
-    columns: dict[str, pa.Array] = {"point": pa.array(np.full(n, point.index, dtype=np.int32))}
-    for axis, value in zip(plan.swept, point.values, strict=True):
-        if axis.numeric:
-            columns[axis.path] = pa.array([value] * n, pa.int64() if axis.whole else pa.float64())
-        else:
-            columns[axis.path] = pa.array([str(cell(value))] * n, pa.string())
-    for name in trials.column_names:
-        columns[name] = trials[name]
-    write_checked(kept, f"{point.index:06d}", parquet_bytes(pa.table(columns), compression="zstd"))
 
 
 def _open_points(plan: Plan, folder: Path, force: bool) -> Path:
