@@ -101,6 +101,8 @@ class HeadsRunner:
         on_grid = states_at(reference, first.scenes, self.start, self.grid_s)
         shaking = jitter_at(reference, first.scenes, self.grid_s)
         self.noise = process_noise(section, on_grid, shaking, first.exposure_s)
+        self.fusion: FusionFilter | None = None
+        """The filter of the present pass, set by `frames`."""
 
     def _states(self, reference: Scenario) -> dict[float, BodyState]:
         """The body at the times of all rows and exposures."""
@@ -128,6 +130,7 @@ class HeadsRunner:
     def frames(self) -> Iterator[TrackedFrame]:
         """All rows in order; reproducible."""
         flight, rows = _Flight(self), deque[tuple[dict[str, Any], list[_HeadFrame]]]()
+        self.fusion = flight.fusion
         offsets = [head.time_offset_s for head in self.scenario.heads]
         together = [h for h, offset in enumerate(offsets) if offset == 0.0]
         later = sorted((h for h in range(len(offsets)) if offsets[h] > 0.0), key=lambda h: offsets[h])

@@ -61,6 +61,10 @@ def summarise_sequence(columns: Columns, step_s: float, judgement: Judgement) ->
         summary["bias_error_deg_h"] = {
             axis: _finite(columns[f"bias_{axis}_deg_h"][-1] - columns[f"true_bias_{axis}_deg_h"][-1]) for axis in "xyz"
         }
+    if "true_scale_x_ppm" in columns:
+        summary["scale_error_ppm"] = {
+            axis: _finite(columns[f"scale_{axis}_ppm"][-1] - columns[f"true_scale_{axis}_ppm"][-1]) for axis in "xyz"
+        }
     if "single_status" in columns:
         alone = np.asarray(columns["single_status"] == "solved", dtype=bool)
         both = alone & solved
