@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, FiniteFloat
 
-from simulator.scenario.schema_base import NonNegative, Section
+from simulator.scenario.schema_base import NonNegative, Positive, Section
 from simulator.scenario.schema_sequence import DropoutSection
 
 
@@ -24,6 +24,12 @@ class HeadSection(Section):
     alignment_sigma_arcsec: NonNegative = 0.0
     """Standard deviation of the mounting about each axis, as the filter assumes it; it then estimates the alignment. 0:
     the mounting is exact."""
+    correlated_arcsec: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    """Standard deviation that the filter assumes, about the camera's x, y and z, for the part of the errors that is
+    correlated from frame to frame: stars with unresolved companions, errors of the calibration. It is then estimated;
+    zeros: errors of different frames are independent."""
+    correlation_s: Positive = 60.0
+    """Correlation time of this part, such as the time that a star takes to cross the field."""
     time_offset_s: NonNegative = 0.0
     """Mid-exposure after the times of the sequence; less than `sequence.step_s`."""
     delay_s: NonNegative = 0.0

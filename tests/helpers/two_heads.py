@@ -51,12 +51,16 @@ def turned(attitude, vector):
 
 
 def fly(rng, times, schedule, heads=HEADS, noise=NOISE, substeps=4, rate=rate_of):
-    """A flight over `times`; `schedule(k)` is the heads that give an attitude at the k-th."""
+    """A flight over `times`; `schedule(k)` is the heads that give an attitude at the k-th.
+
+    The correlated part of the heads' errors is drawn as they state it.
+    """
     body = Attitude(rng.normal(size=4), "icrs", "body")
     bias = noise.bias_sigma_rad_s * rng.normal(size=3)
     scale = noise.scale_sigma * rng.normal(size=3)
     alignments = [head.alignment_sigma_rad * rng.normal(size=3) for head in heads]
     covariance = np.diag(SIGMA**2)
+    shared = [np.array(head.correlated_sigma_rad) * rng.normal(size=3) for head in heads]
     attitudes, gyro, seen = [], [], []
     for k, t_s in enumerate(times):
         if k:
@@ -71,10 +75,14 @@ def fly(rng, times, schedule, heads=HEADS, noise=NOISE, substeps=4, rate=rate_of
                 bias = bias + change
             white = noise.angle_random_walk * math.sqrt(t_s - times[k - 1]) * rng.normal(size=3)
             gyro.append((times[k - 1], t_s, (1.0 + scale) * before.rotation_vector_to(body) + error + white))
+            for h, head in enumerate(heads):
+                kept = math.exp(-(t_s - times[k - 1]) / head.correlation_s)
+                fresh = np.array(head.correlated_sigma_rad) * rng.normal(size=3)
+                shared[h] = kept * shared[h] + math.sqrt(1.0 - kept**2) * fresh
         attitudes.append(body)
         for h in schedule(k):
             camera = turned(heads[h].mounting @ body, alignments[h])
-            seen.append((h, float(t_s), turned(camera, SIGMA * rng.normal(size=3)), covariance))
+            seen.append((h, float(t_s), turned(camera, shared[h] + SIGMA * rng.normal(size=3)), covariance))
     return Flight(np.asarray(times), attitudes, bias, scale, alignments, gyro, seen)
 
 
@@ -88,7 +96,7 @@ def in_order(fusion, flight):
 
 
 def error_of(flight, mekf):
-    """Error (n,) of the whole state at the last time, estimate minus truth."""
+    """Error (n,) of attitude, bias, scale factors and alignments at the last time, estimate minus truth."""
     parts = [flight.attitudes[-1].rotation_vector_to(mekf.attitude)]
     parts += [mekf.bias_rad_s - flight.bias, mekf.scale - flight.scale]
     parts += [

@@ -84,7 +84,9 @@ class HeadCamera:
         self.scenario = own.changed({"pointing.mounting": self.mounting.quat.tolist()})
         self.renderer = Renderer(self.scenario, camera_seed)
         self.tracker = build_tracker(self.scenario, self.renderer.camera)
-        self.filter_head = Head(head.name, known, head.alignment_sigma_arcsec * ARCSEC_RAD)
+        x, y, z = (value * ARCSEC_RAD for value in head.correlated_arcsec)
+        sigma_rad = head.alignment_sigma_arcsec * ARCSEC_RAD
+        self.filter_head = Head(head.name, known, sigma_rad, (x, y, z), head.correlation_s)
         """What the filter knows of it."""
         self.same_catalog = scenario.sky.catalog == self.scenario.tracker.catalog
         self.specification = specification_of(self.scenario)

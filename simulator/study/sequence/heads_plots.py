@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.html_page import Table
+from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.plots import draw_compared, time_axis
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import BLUE, GREEN, ORANGE, SOFT, VERMILION, Panel
@@ -32,11 +33,11 @@ def heads_panels(columns: Columns, names: list[str]) -> dict[str, list[Panel]]:
     note = "Single frames of each head, and the fused attitude with its ±3σ."
     groups = {
         "Heads": [
-            Panel("Frames", "Whether the frames of each head were solved.", _frames_drawer(columns, names), 2.2),
             *(
                 Panel(f"{axis.capitalize()}, heads and fused", note, _errors_drawer(columns, names, axis))
                 for axis in BODY_AXES
             ),
+            Panel("Frames", "Whether the frames of each head were solved.", _frames_drawer(columns, names), 2.2),
         ]
     }
     for name in names:
@@ -52,28 +53,26 @@ def heads_panels(columns: Columns, names: list[str]) -> dict[str, list[Panel]]:
 
 
 def _frames_drawer(columns: Columns, names: list[str]) -> Callable[[Axes], None]:
-    """One row per head, with a mark for each frame: solved, not solved, missing."""
+    """Strip chart: one row per head, with bars for its frames."""
 
     def draw(ax: Axes) -> None:
+        t = columns["elapsed_s"]
+        step = float(t[1] - t[0]) if len(t) > 1 else 1.0
         for row, name in enumerate(names):
-            status, t = columns[f"head_{name}_status"], columns[f"head_{name}_elapsed_s"]
-            parts = {
-                "solved": (status == "solved", BLUE, "|"),
-                "not solved": ((status != "solved") & (status != "no_frame"), VERMILION, "x"),
-                "no frame": (status == "no_frame", SOFT, "."),
+            status = columns[f"head_{name}_status"]
+            kinds = {
+                "solved": (status == "solved", GREEN),
+                "not solved": ((status != "solved") & (status != NO_FRAME), VERMILION),
+                "no frame": (status == NO_FRAME, SOFT),
             }
-            for label, (chosen, colour, marker) in parts.items():
-                ax.plot(
-                    t[chosen],
-                    np.full(chosen.sum(), row),
-                    marker,
-                    color=colour,
-                    markersize=7,
-                    label="" if row else label,
-                    rasterized=len(t) > 1500,
-                )
+            for label, (chosen, colour) in kinds.items():
+                edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
+                bars = [
+                    (float(t[i]) - step / 2.0, (j - i) * step) for i, j in zip(edges[::2], edges[1::2], strict=True)
+                ]
+                ax.broken_barh(bars, (row - 0.38, 0.76), color=colour, linewidth=0, label="" if row else label)
         ax.set_yticks(range(len(names)), names)
-        ax.set_ylim(len(names) - 0.4, -1.1)
+        ax.set_ylim(len(names) - 0.4, -1.3)
         ax.grid(visible=False, axis="y")
         ax.legend(loc="upper right", ncols=3)
         time_axis(ax, columns)

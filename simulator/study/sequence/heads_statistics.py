@@ -9,14 +9,36 @@ from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.sequence.statistics import longest_run, nees_test
-from simulator.study.statistics import AXES, axis_statistics
+from simulator.study.statistics import AXES, CAMERA_AXES, axis_statistics
 
-__all__ = ["OUTCOMES", "summarise_heads"]
+__all__ = ["OUTCOMES", "fused_nees", "summarise_heads"]
 
 Columns = dict[str, NDArray[Any]]
 
 OUTCOMES = ("started", "used", "rejected", "restarted", "too_late")
 """What an attitude did to the filter."""
+
+
+def fused_nees(columns: Columns) -> dict[str, Any]:
+    """`nees_test` of the fused attitude.
+
+    Errors of alignments and of the gyro are constant through much of a sequence, which the scatter of the NEES does not
+    show. The effective number is therefore that of the errors u, normalised by their standard deviations, whose mean
+    is known to be zero: with ρ_k their autocorrelation, squares of Gaussian deviates have ρ_k², and N = n / (1 + 2 Σ
+    ρ_k²), summed while pairs of ρ_k stay positive (Geyer 1992, Statistical Science 7, 473).
+    """
+    solved = np.asarray(columns["status"] == "solved", dtype=bool) & np.isfinite(columns["nees"])
+    if solved.sum() < 2:
+        return nees_test(columns["nees"][solved])
+    u = np.stack([(columns[f"error_{axis}_deg"] / columns[f"sigma_{axis}_deg"])[solved] for axis in CAMERA_AXES])
+    n = u.shape[1]
+    products = [float(np.sum(u[:, k:] * u[:, : n - k])) for k in range(n)]
+    total = 1.0
+    for k in range(1, n - 1, 2):
+        if products[k] + products[k + 1] <= 0.0:
+            break
+        total += 2.0 * (products[k] ** 2 + products[k + 1] ** 2) / products[0] ** 2
+    return nees_test(np.asarray(columns["nees"], dtype=float)[solved], max(n / total, 1.0))
 
 
 def summarise_heads(columns: Columns, scenario: Scenario) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from simulator.study.results_folder import Identity, results_folder, scenario_sh
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.heads import HeadsRunner
-from simulator.study.sequence.heads_statistics import summarise_heads
+from simulator.study.sequence.heads_statistics import fused_nees, summarise_heads
 from simulator.study.sequence.messages import sequence_messages
 from simulator.study.sequence.operation import summarise_operation
 from simulator.study.sequence.statistics import summarise_sequence
@@ -194,7 +194,7 @@ def _run(
         median_ms={name: median(columns[f"{name}_ms"]) for name in ("render", "track")},
     )
     if scenario.heads:
-        sequence.summary["heads"] = summarise_heads(columns, scenario)
+        sequence.summary.update(heads=summarise_heads(columns, scenario), nees=fused_nees(columns))
     if runner.operated is not None:
         sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
     if folder is None:
