@@ -20,6 +20,7 @@ from simulator.environment.parameters import Environment
 from simulator.environment.transients import Transients
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
+from simulator.mission.attitudes import build_attitude_law
 from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
 from simulator.mission.trajectories import build_trajectory
@@ -167,7 +168,8 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
         spectrum=load_spectrum(scenario.pointing.jitter, scenario.base_dir),
         sky=scenario.sky,
     )
-    return SceneBuilder(parameters, build_orbit(scenario))
+    orbit = build_orbit(scenario)
+    return SceneBuilder(parameters, orbit, build_attitude_law(scenario.pointing, orbit, scenario.base_dir))
 
 
 def build_orbit(scenario: Scenario) -> Trajectory:

@@ -12,7 +12,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simulator.mission.parameters import FILES, OrbitParameters
+import numpy as np
+
+from simulator.mission.parameters import ATTITUDE_FILES, FILES, AttitudeSource, OrbitParameters
 from simulator.scenario import Scenario
 from simulator.scenario.fields import NameChecks
 from startracker.errors import InputError
@@ -102,8 +104,30 @@ def _orbit_file(key: str) -> NameCheck:
     return check
 
 
+def _attitude_file(key: str) -> NameCheck:
+    """Check of a file of ``pointing.attitude``, together with the keys that say how it is used."""
+
+    def check(name: Any, keys: Mapping[str, Any]) -> str | None:
+        from simulator.mission.attitudes import attitude_from_file
+        from simulator.mission.clock import Clock
+
+        prefix = "pointing.attitude."
+        given = {k.removeprefix(prefix): value for k, value in keys.items() if k.startswith(prefix)}
+        section = AttitudeSource(**(given | {key: name}))
+        if name is None or "epoch" not in keys or len(section.sources) > 1:
+            return None
+        try:
+            attitude_from_file(section, Clock(keys["epoch"]), np.array([0.0, 0.0, 0.0, 1.0]), Path())
+        except InputError as error:
+            return str(error)
+        return None
+
+    return check
+
+
 NAME_CHECKS: NameChecks = {
     **{f"orbit.{key}": _orbit_file(key) for key in FILES},
+    **{f"pointing.attitude.{key}": _attitude_file(key) for key in ATTITUDE_FILES},
     "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
     "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),

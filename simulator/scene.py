@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.mission.attitude_law import AttitudeLaw, common_span_s
 from simulator.mission.clock import Clock
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.pointing import (
@@ -20,6 +21,7 @@ from simulator.mission.pointing import (
     mounting_of,
     point,
     point_at_random,
+    point_by,
     point_spinning,
     round_s,
     turned_to,
@@ -126,6 +128,8 @@ class SceneBuilder:
         Pointing and sky.
     orbit : Trajectory
         Trajectory of the spacecraft.
+    law : AttitudeLaw, optional
+        Attitude law of the body (`simulator.mission.attitudes`).
 
     Raises
     ------
@@ -133,9 +137,12 @@ class SceneBuilder:
         For a target that is not in the sky.
     """
 
-    def __init__(self, parameters: SceneParameters, orbit: Trajectory) -> None:
+    def __init__(self, parameters: SceneParameters, orbit: Trajectory, law: AttitudeLaw | None = None) -> None:
         self.parameters = parameters
         self.orbit = orbit
+        self.law = law
+        self.span_s = common_span_s(orbit.span_s, *([law.span_s] if law else []))
+        """First and last time of trajectory and attitudes, seconds after the epoch."""
         self.clock: Clock = orbit.clock
         self._round_s = round_s(parameters.pointing, orbit.period_s)
         seen = parameters.sky
@@ -157,8 +164,8 @@ class SceneBuilder:
         block, row = divmod(index, BLOCK_TRIALS)
         if block not in self._blocks:
             indices = np.arange(block * BLOCK_TRIALS, (block + 1) * BLOCK_TRIALS)
-            given, span_s = self.parameters, self.orbit.span_s
-            t_s = trial_time_s(given.sampling, given.seed, indices, self._round_s, span_s)
+            given = self.parameters
+            t_s = trial_time_s(given.sampling, given.seed, indices, self._round_s, self.span_s)
             self._blocks = {block: Instants.of(self.orbit, t_s, self.parameters.sky)}
         return self._blocks[block].at(row)
 
@@ -234,6 +241,8 @@ class SceneBuilder:
             pointing = point_spinning(law, now.t_s, rng)
         elif self.parameters.sampling == "sky" and given.at_s is None:
             pointing = point_at_random(law, rng, math.tau / self.orbit.period_s)
+        elif self.law is not None:
+            pointing = point_by(law, self.law, now.t_s, rng)
         else:
             pointing = point(law, now.r_centre_km, now.v_centre_km_s, rng)
         if given.attitude is not None:

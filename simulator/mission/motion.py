@@ -1,9 +1,9 @@
 """True attitude of the body over a sequence of frames.
 
-The body rotates relative to a reference (the local level, which rotates with the orbit; the axes of a free spin; or an
-inertial attitude) at a rate that is a piecewise linear function of time in body axes: ``pointing.rate_deg_s``, plus
-``sequence.rates``, plus the trapezoid of ``sequence.slew``. With S the rotation relative to the reference, C the
-rotation of the body at the start (offset and random error) and L the reference,
+The body rotates relative to a reference (the local level, which rotates with the orbit; the axes of a free spin or of
+an attitude law; or an inertial attitude) at a rate that is a piecewise linear function of time in body axes:
+``pointing.rate_deg_s``, plus ``sequence.rates``, plus the trapezoid of ``sequence.slew``. With S the rotation relative
+to the reference, C the rotation of the body at the start (offset and random error) and L the reference,
 
     A_body(t) = S(t) C L(t),    dS/dt = −[ω_rel(t) ×] S,    ω_body = S C ω_L + ω_rel.
 
@@ -12,6 +12,7 @@ S is integrated by Magnus' series to the fourth order, which is exact if the dir
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.parameters import PointingParameters, SequenceMotion, Slew, Spin
 from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
@@ -122,7 +124,12 @@ def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
 
 
 def motion(
-    pointing: PointingParameters, sequence: SequenceMotion, orbit: Trajectory, start: Pointing, frames: int
+    pointing: PointingParameters,
+    sequence: SequenceMotion,
+    orbit: Trajectory,
+    start: Pointing,
+    frames: int,
+    law: AttitudeLaw | None = None,
 ) -> list[MotionState]:
     """True states at the first `frames` frames of a sequence.
 
@@ -130,19 +137,23 @@ def motion(
     ----------
     pointing, sequence : sections
         As in the scenario. The reference is, with ``pointing.target``, the inertially fixed initial attitude; with
-        ``pointing.spin``, the spinning principal axes; otherwise the local level.
+        ``pointing.spin``, the spinning principal axes; with an attitude law, its axes; otherwise the local level.
     orbit : Trajectory
         The trajectory; the local level refers to its centre.
     start : Pointing
         Attitude at the first frame, without jitter.
     frames : int
         Number of frames.
+    law : AttitudeLaw, optional
+        That of the section (`simulator.mission.attitudes`).
     """
     profile = rate_profile(pointing, sequence)
     if pointing.target is not None:
         reference, rate_of = _inertial(start)
     elif pointing.spin.rate_deg_s:
         reference, rate_of = _spinning(pointing.spin)
+    elif law is not None:
+        reference, rate_of = functools.partial(law_attitude, law), functools.partial(law_rate_rad_s, law)
     else:
         reference, rate_of = _level(orbit)
     at_start = start.body @ reference(sequence.start_s).inverse

@@ -147,6 +147,42 @@ class Spin:
 
 
 @dataclass(frozen=True)
+class AttitudeSource:
+    """Attitudes from a file: one of `aem`, `ck`, `csv` and `parquet`."""
+
+    aem: str | None = None
+    """CCSDS AEM in KVN or XML, with its own interpolation."""
+    ck: str | None = None
+    """SPICE kernel of attitudes; needs `sclk` and the extra ``spice``."""
+    sclk: str | None = None
+    """SPICE kernel of the spacecraft's clock, for `ck`."""
+    csv: str | None = None
+    """Table with the columns ``utc`` (or ``t_s`` after the epoch), ``qx``, ``qy``, ``qz``, ``qw``: the unit quaternion,
+    scalar last, that transforms coordinates from `frame` to the body or camera."""
+    parquet: str | None = None
+    """The same table in Parquet."""
+    object: str | int | None = None
+    """Name or number of the object in a file with several; in a CK kernel its NAIF number."""
+    gives: Literal["auto", "body", "camera"] = "auto"
+    """Whose attitudes they are. ``auto``: in an AEM by the name of the frame (``SC_BODY``, ``STARTRACKER``), otherwise
+    the body's. `mounting` leads from the one to the other."""
+    frame: Literal["icrf", "eme2000", "equator_of_date", "teme", "itrf", "ecliptic"] = "icrf"
+    """Axes from which the quaternions of a table start."""
+    interpolation: Literal["slerp", "spline"] = "slerp"
+    """Of a table. ``slerp``: constant rate between rows; ``spline``: cubic spline of rotations, continuous rates and
+    accelerations."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Keys of files; more than one contradict each other."""
+        return tuple(key for key in ATTITUDE_FILES if getattr(self, key) is not None)
+
+
+ATTITUDE_FILES = ("aem", "ck", "csv", "parquet")
+"""Keys of `AttitudeSource` that name a file of attitudes."""
+
+
+@dataclass(frozen=True)
 class PointingParameters:
     """Mounting of the camera, and attitude of the body relative to the local level."""
 
@@ -169,10 +205,27 @@ class PointingParameters:
     """Body rate about X, Y, Z in addition to the rotation of the local-level frame."""
     spin: Spin = Spin()
     """Free spin instead of the local level; off if its rate is 0."""
+    attitude: AttitudeSource = AttitudeSource()
+    """Attitudes from a file instead of the local level."""
     jitter: Jitter = NO_JITTER
     """Jitter."""
 
     __repr__ = changed_fields
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """Keys that define the attitude instead of the local level; more than one contradict each other."""
+        given = {
+            "target": self.target is not None,
+            "spin": self.spin.rate_deg_s != 0.0,
+            "attitude": bool(self.attitude.sources),
+        }
+        return tuple(key for key, is_given in given.items() if is_given)
+
+    @property
+    def law(self) -> str:
+        """The key that defines the attitude: ``level`` (the local level), ``target``, ``spin`` or ``attitude``."""
+        return next(iter(self.laws), "level")
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
@@ -34,6 +35,7 @@ __all__ = [
     "mounting_of",
     "point",
     "point_at_random",
+    "point_by",
     "point_spinning",
     "random_attitude",
     "round_s",
@@ -162,6 +164,15 @@ def point_spinning(parameters: PointingParameters, t_s: float, rng: np.random.Ge
     """
     nominal = _offset(parameters) @ spin_attitude(parameters.spin, t_s)
     return _pointing(parameters, nominal, spin_rate_rad_s(parameters.spin, t_s), rng.uniform(-1.0, 1.0, 3))
+
+
+def point_by(parameters: PointingParameters, law: AttitudeLaw, t_s: float, rng: np.random.Generator) -> Pointing:
+    """`point` for a body that follows an attitude law, `t_s` seconds after the epoch.
+
+    The axes of the law replace the local level: offset, random error and `rate_deg_s` are added.
+    """
+    nominal = _offset(parameters) @ law_attitude(law, t_s)
+    return _pointing(parameters, nominal, law_rate_rad_s(law, t_s), rng.uniform(-1.0, 1.0, 3))
 
 
 def round_s(parameters: PointingParameters, orbital_period_s: float) -> float:

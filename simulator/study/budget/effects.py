@@ -62,7 +62,9 @@ def _as_new(scenario: Scenario) -> Changes:
 
 def _no_rate(scenario: Scenario) -> Changes:
     """Body rate that cancels the rotation of the local level, 2π per period about −Y (`simulator.mission.pointing`), or
-    a spin about +Z."""
+    a spin about +Z. An attitude law has no rate that could be cancelled: no change."""
+    if scenario.pointing.law not in ("level", "target", "spin"):
+        return {}
     spin_deg_s = scenario.pointing.spin.rate_deg_s
     if spin_deg_s:
         return {"pointing.rate_deg_s": (0.0, 0.0, -spin_deg_s)}

@@ -15,7 +15,7 @@ from simulator.build import sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.motion import MotionState, motion
-from simulator.mission.pointing import Pointing, hold, point, point_spinning
+from simulator.mission.pointing import Pointing, hold, point, point_by, point_spinning
 from simulator.optics.jitter import JitterPath
 from simulator.randomness import stream
 from simulator.renderer import Renderer
@@ -94,7 +94,7 @@ class SequenceRunner:
         self._pointing = scenario.pointing
         self.start = self._start()
         plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
-        self.states = motion(self._pointing, plan, orbit, self.start, section.frames)
+        self.states = motion(self._pointing, plan, orbit, self.start, section.frames, self.renderer.scenes.law)
         self.renderer.scenes.plan([state.t_s for state in self.states])
         self.shaking = self._shaking()
         self.cameras = [state.camera for state in self.states]
@@ -132,6 +132,8 @@ class SequenceRunner:
         rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
         if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
             return point_spinning(self._pointing, start_s, rng)
+        if scenes.law is not None:
+            return point_by(self._pointing, scenes.law, start_s, rng)
         if scenario.pointing.target is None:
             return point(self._pointing, *scenes.orbit.state(start_s), rng)
         nominal = self.renderer.scene(0, at_s=start_s).pointing.prior

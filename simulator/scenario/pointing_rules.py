@@ -1,0 +1,41 @@
+"""Contradictions within a scenario's ``pointing`` section."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from simulator.mission.parameters import ATTITUDE_FILES
+from simulator.scenario.errors import Violation, impossible
+
+
+def attitude_files(v: Mapping[str, Any]) -> list[str]:
+    """Keys of the files that define the attitude."""
+    return [f"pointing.attitude.{key}" for key in ATTITUDE_FILES if v[f"pointing.attitude.{key}"] is not None]
+
+
+def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """Violated rules of the ``pointing`` section."""
+    mounting = v["pointing.mounting"]
+    if not isinstance(mounting, str) and math.hypot(*mounting) < 1e-6:
+        yield impossible(
+            "pointing.mounting", "a quaternion of zeros is not a rotation; use [0, 0, 0, 1] for no rotation"
+        )
+    if v["pointing.jitter.psd"] == "table" and v["pointing.jitter.table"] is None:
+        yield impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
+    yield from _laws(v)
+
+
+def _laws(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """One definition of the attitude."""
+    if v["pointing.spin.rate_deg_s"] and v["pointing.target"] is not None:
+        yield impossible(
+            "pointing.spin.rate_deg_s", "a freely spinning body cannot hold a pointing.target; remove one of them"
+        )
+        return
+    files = attitude_files(v)
+    given = ["pointing.target"] * (v["pointing.target"] is not None)
+    given += ["pointing.spin.rate_deg_s"] * (v["pointing.spin.rate_deg_s"] != 0.0) + files
+    if len(given) > 1:
+        yield impossible(given[1], f"the attitude is already defined by {given[0]}; set one of them to null")
