@@ -84,17 +84,17 @@ def _target(name: Any, keys: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _orbit_file(key: str) -> NameCheck:
-    """Check of a file of the ``orbit`` section, together with the keys that say how it is used."""
+def _orbit_file(key: str, section: str = "orbit") -> NameCheck:
+    """Check of a file of an orbit's section, together with the keys that say how it is used."""
 
     def check(name: Any, keys: Mapping[str, Any]) -> str | None:
         from simulator.mission.trajectories import build_trajectory
 
-        others = {k: keys.get(f"orbit.{k}") for k in FILES}
+        others = {k: keys.get(f"{section}.{k}") for k in FILES}
         if not isinstance(name, str) or "epoch" not in keys or any(others[k] for k in FILES if k != key):
             return None
         plain = ("object", "centre", "frame", "max_age_days")
-        given: dict[str, Any] = {k: keys[f"orbit.{k}"] for k in plain if f"orbit.{k}" in keys}
+        given: dict[str, Any] = {k: keys[f"{section}.{k}"] for k in plain if f"{section}.{k}" in keys}
         try:
             build_trajectory(OrbitParameters(**(given | {key: name})), keys["epoch"])
         except InputError as error:
@@ -125,8 +125,11 @@ def _attitude_file(key: str) -> NameCheck:
     return check
 
 
+ORBITS = ("orbit", "pointing.track.spacecraft")
+"""Sections of orbits."""
+
 NAME_CHECKS: NameChecks = {
-    **{f"orbit.{key}": _orbit_file(key) for key in FILES},
+    **{f"{section}.{key}": _orbit_file(key, section) for section in ORBITS for key in FILES},
     **{f"pointing.attitude.{key}": _attitude_file(key) for key in ATTITUDE_FILES},
     "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),

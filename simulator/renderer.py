@@ -198,6 +198,8 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
             flat[prefix] = value
 
     resolved = scenario.resolved()
+    if scenario.pointing.track.target is None:
+        del resolved["pointing"]["track"]  # some forty keys of another orbit
     sections = ("orbit", "pointing", "sky", "tether", "optics", "detector", "environment")
     walk("", {name: resolved[name] for name in sections})
     return flat

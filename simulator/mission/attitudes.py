@@ -14,6 +14,9 @@ from simulator.mission.ck import read_ck
 from simulator.mission.clock import Clock
 from simulator.mission.parameters import AttitudeSource, PointingParameters
 from simulator.mission.pointing import mounting_of
+from simulator.mission.slews import build_slews
+from simulator.mission.tracking import build_tracking
+from simulator.mission.trajectories import build_trajectory
 from simulator.mission.trajectory import Trajectory
 from startracker.errors import InputError
 
@@ -41,9 +44,15 @@ def build_attitude_law(parameters: PointingParameters, orbit: Trajectory, folder
     """
     if len(parameters.laws) > 1:
         raise InputError(f"pointing: {' and '.join(parameters.laws)} both define the attitude; remove one of them")
+    mounting = mounting_of(parameters)
     if parameters.law == "attitude":
-        mounting = mounting_of(parameters).quat
-        return attitude_from_file(parameters.attitude, orbit.clock, mounting, folder)
+        return attitude_from_file(parameters.attitude, orbit.clock, mounting.quat, folder)
+    if parameters.law == "waypoints":
+        return build_slews(parameters.waypoints, orbit.clock, mounting.quat)
+    if parameters.law == "track":
+        track = parameters.track
+        other = build_trajectory(track.spacecraft, orbit.clock.epoch, folder) if track.target == "spacecraft" else None
+        return build_tracking(track, orbit, other, mounting)
     return None
 
 

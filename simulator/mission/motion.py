@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.parameters import PointingParameters, SequenceMotion, Slew, Spin
 from simulator.mission.pointing import Pointing, local_level
+from simulator.mission.slews import trapezoid
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
 from startracker.attitude import Attitude
@@ -110,17 +111,10 @@ def rate_profile(pointing: PointingParameters, sequence: SequenceMotion) -> Rate
 
 
 def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
-    """Corners of a slew's speed profile, s and rad/s: a trapezoid, or a triangle for a short slew, whose area is the
-    angle."""
+    """Corners of a slew's speed profile after the first frame, s and rad/s."""
     turn = math.radians(math.hypot(*slew.turn_deg))
-    if turn == 0.0:
-        return np.empty(0), np.empty(0)
-    acceleration = math.radians(slew.acceleration_deg_s2)
-    top = min(math.radians(slew.max_rate_deg_s), math.sqrt(turn * acceleration))
-    ramp, steady = top / acceleration, turn / top - top / acceleration
-    if steady <= 1e-9 * ramp:
-        return slew.start_s + np.array([0.0, ramp, 2.0 * ramp]), np.array([0.0, top, 0.0])
-    return slew.start_s + np.array([0.0, ramp, ramp + steady, 2.0 * ramp + steady]), np.array([0.0, top, top, 0.0])
+    corners, speeds = trapezoid(turn, slew.max_rate_deg_s, slew.acceleration_deg_s2)
+    return slew.start_s + corners, speeds
 
 
 def motion(

@@ -183,6 +183,72 @@ ATTITUDE_FILES = ("aem", "ck", "csv", "parquet")
 
 
 @dataclass(frozen=True)
+class Waypoint:
+    """An attitude of the camera at a time."""
+
+    at_s: float
+    """Seconds after the epoch."""
+    ra_deg: float
+    """Right ascension of the boresight, ICRS."""
+    dec_deg: float
+    """Declination of the boresight."""
+    roll_deg: float = 0.0
+    """Position angle of the camera's up axis (−y), east of north."""
+
+
+@dataclass(frozen=True)
+class Waypoints:
+    """Slews from attitude to attitude."""
+
+    points: tuple[Waypoint, ...] = ()
+    """Attitudes in order of time: a list of {at_s, ra_deg, dec_deg, roll_deg}; none: no slews."""
+    profile: Literal["eigenaxis", "spline"] = "eigenaxis"
+    """``eigenaxis``: rest, and a slew about one axis that ends at `at_s`, with constant acceleration, constant rate and
+    constant deceleration; ``spline``: a cubic spline of rotations through all attitudes, from the first to the last."""
+    max_rate_deg_s: float = 1.0
+    """Maximum rate of an ``eigenaxis`` slew; a short slew does not reach it."""
+    acceleration_deg_s2: float = 0.1
+    """Angular acceleration at its start and deceleration at its end."""
+
+
+@dataclass(frozen=True)
+class GroundTarget:
+    """A point above the ellipsoid of WGS 84."""
+
+    latitude_deg: float = 0.0
+    """Geodetic latitude."""
+    longitude_deg: float = 0.0
+    """Longitude, positive to the east."""
+    height_km: float = 0.0
+    """Height above the ellipsoid."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """A body axis follows a target, and a second one is kept as near as possible to a second direction."""
+
+    target: (
+        Literal["nadir", "velocity", "ground", "spacecraft", "direction", "Sun", "Moon", "Earth"]
+        | Literal["Mercury", "Venus", "Mars", "Jupiter", "Saturn", "Uranus", "Neptune"]
+        | None
+    ) = None
+    """What is followed: the centre of the trajectory (``nadir``), the ``velocity``, `ground`, `spacecraft`,
+    `direction_deg` or a body; none: the local level. Targets are followed behind the Earth as well."""
+    direction_deg: tuple[float, float] = (0.0, 0.0)
+    """Right ascension and declination (ICRS) for ``direction``."""
+    ground: GroundTarget = GroundTarget()
+    """Point on the Earth for ``ground``."""
+    spacecraft: OrbitParameters = OrbitParameters()
+    """Orbit of another spacecraft for ``spacecraft``, with the keys of `orbit`."""
+    axis: Vector | None = None
+    """Body axis that points at the target; none: the camera's boresight."""
+    second_axis: Vector | None = None
+    """Body axis towards the second direction; none: the camera's up axis (−y)."""
+    second_direction: Literal["velocity", "zenith", "orbit_normal", "north", "Sun"] = "velocity"
+    """Second direction: velocity, zenith, orbit normal (r × v), celestial north pole (ICRS) or Sun."""
+
+
+@dataclass(frozen=True)
 class PointingParameters:
     """Mounting of the camera, and attitude of the body relative to the local level."""
 
@@ -207,6 +273,10 @@ class PointingParameters:
     """Free spin instead of the local level; off if its rate is 0."""
     attitude: AttitudeSource = AttitudeSource()
     """Attitudes from a file instead of the local level."""
+    waypoints: Waypoints = Waypoints()
+    """Slews from attitude to attitude instead of the local level."""
+    track: Track = Track()
+    """An axis that follows a target, instead of the local level."""
     jitter: Jitter = NO_JITTER
     """Jitter."""
 
@@ -219,12 +289,15 @@ class PointingParameters:
             "target": self.target is not None,
             "spin": self.spin.rate_deg_s != 0.0,
             "attitude": bool(self.attitude.sources),
+            "waypoints": bool(self.waypoints.points),
+            "track": self.track.target is not None,
         }
         return tuple(key for key, is_given in given.items() if is_given)
 
     @property
     def law(self) -> str:
-        """The key that defines the attitude: ``level`` (the local level), ``target``, ``spin`` or ``attitude``."""
+        """The key that defines the attitude: ``level`` (the local level), ``target``, ``spin``, ``attitude``,
+        ``waypoints`` or ``track``."""
         return next(iter(self.laws), "level")
 
 

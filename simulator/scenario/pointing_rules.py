@@ -6,8 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from simulator.mission.parameters import ATTITUDE_FILES
+import numpy as np
+
+from simulator.mission.clock import Clock
+from simulator.mission.parameters import ATTITUDE_FILES, Waypoints
+from simulator.mission.slews import build_slews
 from simulator.scenario.errors import Violation, impossible
+from startracker.errors import InputError
 
 
 def attitude_files(v: Mapping[str, Any]) -> list[str]:
@@ -25,6 +30,7 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     if v["pointing.jitter.psd"] == "table" and v["pointing.jitter.table"] is None:
         yield impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
     yield from _laws(v)
+    yield from _waypoints(v)
 
 
 def _laws(v: Mapping[str, Any]) -> Iterator[Violation]:
@@ -34,8 +40,25 @@ def _laws(v: Mapping[str, Any]) -> Iterator[Violation]:
             "pointing.spin.rate_deg_s", "a freely spinning body cannot hold a pointing.target; remove one of them"
         )
         return
-    files = attitude_files(v)
     given = ["pointing.target"] * (v["pointing.target"] is not None)
-    given += ["pointing.spin.rate_deg_s"] * (v["pointing.spin.rate_deg_s"] != 0.0) + files
+    given += ["pointing.spin.rate_deg_s"] * (v["pointing.spin.rate_deg_s"] != 0.0) + attitude_files(v)
+    given += ["pointing.waypoints.points"] * bool(v["pointing.waypoints.points"])
+    given += ["pointing.track.target"] * (v["pointing.track.target"] is not None)
     if len(given) > 1:
         yield impossible(given[1], f"the attitude is already defined by {given[0]}; set one of them to null")
+
+
+def _waypoints(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """Points and limits of slews, by the law that is built of them."""
+    points = v["pointing.waypoints.points"]
+    limits = Waypoints(
+        points,
+        v["pointing.waypoints.profile"],
+        v["pointing.waypoints.max_rate_deg_s"],
+        v["pointing.waypoints.acceleration_deg_s2"],
+    )
+    try:
+        if points:
+            build_slews(limits, Clock(v["epoch"]), np.array([0.0, 0.0, 0.0, 1.0]))
+    except InputError as error:
+        yield impossible("pointing.waypoints.points", str(error).removeprefix("pointing.waypoints: "))

@@ -192,3 +192,41 @@ def test_sequences_follow_the_file_with_offset_and_rate(tmp_path):
     late = scenario(tmp_path, "sequence: {frames: 12, step_s: 2.0}\n", overrides)
     with pytest.raises(InputError, match=r"2026-03-21T12:00:22.000 is outside"):
         SequenceRunner(late)
+
+
+def test_laws_of_scenarios(tmp_path):
+    """Targets and slews by the keys of a scenario, and the mistakes in them."""
+    ground = (
+        "base: orbit\nname: g\npointing:\n  track: {target: ground, ground: {latitude_deg: 10, longitude_deg: 20}}\n"
+    )
+    slew = (
+        "base: orbit\nname: w\npointing:\n  waypoints:\n    points:\n"
+        "      - {at_s: 0, ra_deg: 10, dec_deg: 20}\n      - {at_s: 60, ra_deg: 50, dec_deg: 20, roll_deg: 5}\n"
+    )
+    files = {}
+    for name, text in (("g", ground), ("w", slew)):
+        files[name] = tmp_path / f"{name}.yaml"
+        files[name].write_text(text)
+    fixed = ["pointing.error_deg=0", "pointing.rate_deg_s=[0, 0, 0]", "sequence.frames=3", "sequence.step_s=30"]
+    runner = SequenceRunner(load_scenario(files["w"], fixed))
+    last = Attitude.from_radec_roll(50.0, 20.0, 5.0)
+    np.testing.assert_allclose(runner.cameras[2].rotation_vector_to(last), 0.0, atol=1e-12)
+    # the parameters of frames have the keys of a target only where there is one
+    assert not any("track" in key for key in runner.renderer.parameters)
+    renderer = Renderer(load_scenario(files["g"]))
+    assert renderer.parameters["pointing.track.ground.latitude_deg"] == 10.0
+    assert renderer.scenes.law.span_s == ORBIT.span_s
+    (tmp_path / "other.csv").write_text("t_s\n0\n")
+    for name, override, message in (
+        ("w", "pointing.track.target=Sun", r"pointing.track.target: the attitude is already defined by pointing.waypo"),
+        (
+            "w",
+            "pointing.waypoints.max_rate_deg_s=0.1",
+            r"waypoints.points: the slew of 38.57° .* takes 386.7 s, and 60 s",
+        ),
+        ("g", "pointing.track.ground.latitude_deg=91", r"pointing.track.ground.latitude_deg"),
+        ("g", f"pointing.track.spacecraft.csv={tmp_path / 'other.csv'}", r"spacecraft.csv: .*other.csv:1: columns are"),
+        ("g", "pointing.track.target=Pluto", r"pointing.track.target"),
+    ):
+        with pytest.raises(ScenarioError, match=message):
+            load_scenario(files[name], [override])
