@@ -125,12 +125,28 @@ def _attitude_file(key: str) -> NameCheck:
     return check
 
 
+def _jitter_series(name: Any, keys: Mapping[str, Any]) -> str | None:
+    """Check of the table of ``pointing.jitter.series``."""
+    from simulator.mission.clock import Clock
+    from simulator.mission.jitter_table import read_jitter
+    from simulator.optics.jitter import Jitter
+
+    if name is None or "epoch" not in keys:
+        return None
+    try:
+        read_jitter(Jitter(series=name), Clock(keys["epoch"]), Path())
+    except InputError as error:
+        return str(error)
+    return None
+
+
 ORBITS = ("orbit", "pointing.track.spacecraft")
 """Sections of orbits."""
 
 NAME_CHECKS: NameChecks = {
     **{f"{section}.{key}": _orbit_file(key, section) for section in ORBITS for key in FILES},
     **{f"pointing.attitude.{key}": _attitude_file(key) for key in ATTITUDE_FILES},
+    "pointing.jitter.series": _jitter_series,
     "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
     "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),

@@ -28,7 +28,8 @@ from simulator.mission.pointing import (
 )
 from simulator.mission.sampling import trial_time_s
 from simulator.mission.trajectory import Trajectory
-from simulator.optics.jitter import JitterPath, Spectrum, draw_jitter
+from simulator.optics.jitter import Spectrum, camera_axes, draw_jitter
+from simulator.optics.jitter_series import JitterMotion, JitterSeries, SampledJitter
 from simulator.randomness import Streams
 from simulator.sky.apparent import SkyIndex, by_declination, largest_shift_rad
 from simulator.sky.colours import spectral_coordinates
@@ -68,7 +69,7 @@ class Scene:
     """(3,): Unit vector from the spacecraft to the Sun, without aberration."""
     pointing: Pointing
     """Attitudes and rate; with jitter the true attitude is the mean over the exposure."""
-    jitter: JitterPath | None
+    jitter: JitterMotion | None
     """Rotation of the camera relative to that attitude during the exposure."""
     streak_rad: float
     """Rotation angle of the camera during the exposure."""
@@ -101,7 +102,7 @@ class GivenState(NamedTuple):
     """True attitude of the camera."""
     rate_camera_rad_s: ArrayLike | None = None
     """(3,): Inertial angular velocity in camera axes, for a given attitude."""
-    jitter: JitterPath | None = None
+    jitter: JitterMotion | None = None
     """Jitter of a sequence relative to this mid-exposure."""
 
 
@@ -117,6 +118,10 @@ class SceneParameters:
     spectrum: Spectrum
     sky: Sky
     """Mounting, attitude law and jitter; spectrum of the jitter; contents of the sky."""
+    series: JitterSeries | None = None
+    """Jitter as a time series."""
+    exposure_margin_s: float = 0.0
+    """Time beyond an exposure in which a rolling shutter exposes rows."""
 
 
 class SceneBuilder:
@@ -261,18 +266,29 @@ class SceneBuilder:
                     "camera away from it (pointing.mounting: zenith)"
                 )
 
-    def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
-        """One realisation of the jitter, None if there is none."""
+    def sequence_jitter(self, rng: np.random.Generator, start_s: float) -> JitterMotion | None:
+        """Jitter of a sequence relative to its first mid-exposure at `start_s`, None if there is none."""
         given = self.parameters
-        return draw_jitter(given.pointing.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
+        jitter, matrix = given.pointing.jitter, mounting_of(given.pointing).as_matrix()
+        if given.series is not None:
+            return SampledJitter(given.series, start_s, camera_axes(jitter, matrix))
+        return draw_jitter(jitter, given.spectrum, rng, matrix, over_sequence=True)
+
+    def _frame_jitter(self, rng: np.random.Generator, exposure_s: float) -> JitterMotion | None:
+        """Jitter of a single frame, None if there is none."""
+        given = self.parameters
+        jitter, matrix = given.pointing.jitter, mounting_of(given.pointing).as_matrix()
+        if given.series is not None:
+            return given.series.section(jitter, rng, exposure_s + given.exposure_margin_s, matrix)
+        return draw_jitter(jitter, given.spectrum, rng, matrix)
 
     def _shaken(
-        self, pointing: Pointing, streams: Streams, jitter: JitterPath | None, exposure_s: float
-    ) -> tuple[Pointing, JitterPath | None]:
+        self, pointing: Pointing, streams: Streams, jitter: JitterMotion | None, exposure_s: float
+    ) -> tuple[Pointing, JitterMotion | None]:
         """True attitude including the mean jitter over the exposure, and the remaining jitter about it."""
         if self.parameters.pointing.jitter.is_off:
             return pointing, None
-        jitter = jitter or self.draw_jitter(streams("jitter"))
+        jitter = jitter or self._frame_jitter(streams("jitter"), exposure_s)
         if jitter is None:
             return pointing, None
         mean = Attitude.from_rotation_vector(jitter.mean(exposure_s), "camera", "camera")

@@ -17,6 +17,7 @@ from simulator.scenario.overrides import merge
 ALWAYS_FILES = (
     *(f"orbit.{key}" for key in FILES),
     *(f"pointing.track.spacecraft.{key}" for key in FILES),
+    "pointing.jitter.series",
     *(f"pointing.attitude.{key}" for key in (*ATTITUDE_FILES, "sclk")),
 )
 """Keys that name a file, relative to the scenario file, or for ``--set`` to the working folder."""

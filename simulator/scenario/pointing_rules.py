@@ -29,6 +29,11 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         )
     if v["pointing.jitter.psd"] == "table" and v["pointing.jitter.table"] is None:
         yield impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
+    if v["pointing.jitter.series"] is not None and any(v["pointing.jitter.rms_arcsec"]):
+        message = (
+            "the jitter is already defined by pointing.jitter.series, which has angles; set one of them to 0 or null"
+        )
+        yield impossible("pointing.jitter.rms_arcsec", message)
     yield from _laws(v)
     yield from _waypoints(v)
 

@@ -139,7 +139,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("light deflection", "bias", {"sky.light_deflection": False}),
     Effect("smear by rates", "rate", _no_rate),
     Effect("time tag", "rate", {"detector.time_tag.offset_s": 0.0, "detector.time_tag.jitter_s": 0.0}),
-    Effect("jitter", "rate", {"pointing.jitter.rms_arcsec": (0.0, 0.0, 0.0)}),
+    Effect("jitter", "rate", {"pointing.jitter.rms_arcsec": (0.0, 0.0, 0.0), "pointing.jitter.series": None}),
 )
 """Effects that can be switched off; the tracker is not changed. Aberration, proper motion, parallax and lens distortion
 are not included, because the tracker corrects them exactly."""

@@ -16,7 +16,7 @@ from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
 from simulator.mission.motion import MotionState, motion
 from simulator.mission.pointing import Pointing, hold, point, point_by, point_spinning
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -117,13 +117,13 @@ class SequenceRunner:
         self.operated: OperatedCamera | None = None
         """The camera with its rules of operation, set by `frames`; None without rules."""
 
-    def _shaking(self) -> list[JitterPath]:
+    def _shaking(self) -> list[JitterMotion]:
         """Jitter relative to each mid-exposure, one process for the whole sequence; empty without jitter."""
-        path = self.renderer.scenes.draw_jitter(stream(self.scenario.seed, "jitter", 0))
         section = self.scenario.sequence
+        path = self.renderer.scenes.sequence_jitter(stream(self.scenario.seed, "jitter", 0), section.start_s)
         return [path.shifted(k * section.step_s) for k in range(section.frames)] if path is not None else []
 
-    def _jitter(self, k: int) -> JitterPath | None:
+    def _jitter(self, k: int) -> JitterMotion | None:
         return self.shaking[k] if self.shaking else None
 
     def _start(self) -> Pointing:
