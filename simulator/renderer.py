@@ -166,6 +166,7 @@ class Renderer:
             excluded=light.excluded,
             time_tag_error_s=late_s,
             particles_cm2_s=self._particles_cm2_s(moment),
+            mounting_rotation_rad=scene.pointing.mounting_rotation_rad,
         )
         return frame, truth
 

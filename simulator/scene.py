@@ -17,6 +17,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.pointing import (
     Pointing,
+    deformed,
     hold,
     mounting_of,
     point,
@@ -27,6 +28,7 @@ from simulator.mission.pointing import (
     turned_to,
 )
 from simulator.mission.sampling import trial_time_s
+from simulator.mission.thermo_elastic import angle_from_noon_rad, mounting_rotation_rad
 from simulator.mission.trajectory import Trajectory
 from simulator.optics.jitter import Spectrum, camera_axes, draw_jitter
 from simulator.optics.jitter_series import JitterMotion, JitterSeries, SampledJitter
@@ -250,9 +252,25 @@ class SceneBuilder:
             pointing = point_by(law, self.law, now.t_s, rng)
         else:
             pointing = point(law, now.r_centre_km, now.v_centre_km_s, rng)
+        pointing = deformed(pointing, self._mounting_rotation_rad(now))
         if given.attitude is not None:
             pointing = turned_to(pointing, given.attitude, given.rate_camera_rad_s)
         return pointing
+
+    def mounting_rotation_rad(self, t_s: float) -> FloatArray | None:
+        """Thermo-elastic rotation vector (3,) of the mounting, camera axes, seconds after the epoch; None if there is
+        none."""
+        return self._mounting_rotation_rad(self._instant_at(t_s))
+
+    def _mounting_rotation_rad(self, now: Instant) -> FloatArray | None:
+        given = self.parameters.pointing.thermo_elastic
+        if not any(given.amplitude_arcsec):
+            return None
+        if given.reference == "node":
+            return mounting_rotation_rad(given, math.radians(now.orbit_argument_deg))
+        assert now.observer.position_au is not None
+        to_sun = now.sun_au - now.observer.position_au
+        return mounting_rotation_rad(given, angle_from_noon_rad(now.r_centre_km, now.v_centre_km_s, to_sun))
 
     def _refuse_near_surface(self, now: Instant, boresight: FloatArray, reach_rad: float) -> None:
         """`InputError` if a surface that fills much of the sky, other than the Earth's, may be in the field."""

@@ -30,7 +30,7 @@ from simulator.mission.trajectory import Trajectory
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 
-__all__ = ["MotionState", "RateProfile", "motion", "rate_profile"]
+__all__ = ["MotionState", "RateProfile", "motion", "on_mounting", "rate_profile"]
 
 FloatArray = NDArray[np.float64]
 
@@ -163,6 +163,15 @@ def motion(
         camera = start.mounting @ in_reference @ reference(t_s)
         states.append(MotionState(t_s, camera, start.mounting.apply(rate_body)))
     return states
+
+
+def on_mounting(state: MotionState, rotation_rad: FloatArray | None) -> MotionState:
+    """The same motion of the body seen by a camera whose mounting is rotated by a vector (3,) in camera axes, of which
+    the rate is neglected."""
+    if rotation_rad is None:
+        return state
+    turn = Attitude.from_rotation_vector(rotation_rad, "camera", "camera")
+    return MotionState(state.t_s, turn @ state.camera, turn.apply(state.rate_camera_rad_s))
 
 
 def _inertial(start: Pointing) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:

@@ -249,6 +249,20 @@ class Track:
 
 
 @dataclass(frozen=True)
+class ThermoElastic:
+    """Thermo-elastic motion of the mounting around the orbit: the camera rotates relative to the body, of which the
+    spacecraft does not know."""
+
+    amplitude_arcsec: Vector = (0.0, 0.0, 0.0)
+    """Amplitude of the rotation about the camera's x, y, z; 0: none."""
+    phase_deg: Vector = (0.0, 0.0, 0.0)
+    """Orbit angle at which the rotation about each axis is greatest."""
+    reference: Literal["noon", "node"] = "noon"
+    """Zero of the orbit angle. ``noon``: where the orbit is nearest to the Sun; the middle of the eclipse is at 180°;
+    ``node``: the ascending node."""
+
+
+@dataclass(frozen=True)
 class PointingParameters:
     """Mounting of the camera, and attitude of the body relative to the local level."""
 
@@ -279,6 +293,8 @@ class PointingParameters:
     """An axis that follows a target, instead of the local level."""
     jitter: Jitter = NO_JITTER
     """Jitter."""
+    thermo_elastic: ThermoElastic = ThermoElastic()
+    """Motion of the mounting around the orbit."""
 
     __repr__ = changed_fields
 

@@ -30,6 +30,7 @@ __all__ = [
     "Pointing",
     "attitude_at",
     "boresight_path",
+    "deformed",
     "level_matrices",
     "local_level",
     "mounting_of",
@@ -72,9 +73,11 @@ class Pointing:
     prior: Attitude
     """ICRS → camera without the random error, as known from other sensors."""
     mounting: Attitude
-    """Body → camera."""
+    """True body → camera."""
     rate_camera_rad_s: FloatArray
     """(3,): Inertial angular velocity in camera axes."""
+    mounting_rotation_rad: FloatArray | None = None
+    """(3,): Rotation vector from the nominal to the true mounting, camera axes; None if they are the same."""
 
     __repr__ = fields_repr
 
@@ -197,6 +200,21 @@ def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike
         camera=camera,
         prior=error.inverse @ camera,
         rate_camera_rad_s=rate,
+    )
+
+
+def deformed(pointing: Pointing, rotation_rad: FloatArray | None) -> Pointing:
+    """The same body with its mounting, and the camera on it, rotated by a rotation vector (3,) in camera axes. The
+    prior does not know of it; the rate of the rotation is neglected (0.05″/s for 50″ in a low orbit)."""
+    if rotation_rad is None:
+        return pointing
+    turn = Attitude.from_rotation_vector(rotation_rad, "camera", "camera")
+    return replace(
+        pointing,
+        camera=turn @ pointing.camera,
+        mounting=turn @ pointing.mounting,
+        rate_camera_rad_s=turn.apply(pointing.rate_camera_rad_s),
+        mounting_rotation_rad=rotation_rad,
     )
 
 
