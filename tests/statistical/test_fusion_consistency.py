@@ -67,8 +67,8 @@ def test_head_that_is_blinded_for_ten_minutes_costs_no_jump():
 
 @pytest.mark.slow
 def test_correlated_errors_are_as_stated_if_the_filter_has_states_for_them():
-    """A tenth of each head's variance is a Gauss–Markov process of 20 s. NEES of the attitude and of all states over 200
-    flights, inside the 95 % bounds; without the states the attitude of a filter that averages is far outside."""
+    """A tenth of each head's variance is a Gauss–Markov process of 20 s. NEES of the attitude and of all states over
+    200 flights, inside the 95 % bounds; without these states the attitude is far outside."""
     times, runs = np.linspace(0.0, 60.0, 121), 200
     part = tuple(0.33 * SIGMA)
     heads = tuple(dataclasses.replace(head, correlated_sigma_rad=part, correlation_s=20.0) for head in HEADS)

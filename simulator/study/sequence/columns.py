@@ -29,7 +29,11 @@ def attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]
 
 
 def error_columns(
-    true: Attitude, estimate: Attitude | None, covariance: FloatArray | None, mounting: Attitude
+    true: Attitude,
+    estimate: Attitude | None,
+    covariance: FloatArray | None,
+    mounting: Attitude,
+    rotation_rad: FloatArray | None = None,
 ) -> dict[str, float]:
     """Errors about body and camera axes with their standard deviations, and the NEES; NaN without an estimate.
 
@@ -41,11 +45,13 @@ def error_columns(
         Of the error of the estimate, camera axes, rad².
     mounting : Attitude
         Body to camera.
+    rotation_rad : array, shape (3,), optional
+        Thermo-elastic rotation that is contained in `true` and `mounting`.
     """
     axes = (*BODY_AXES, *CAMERA_AXES)
     errors, sigma, nees = dict.fromkeys(axes, math.nan), np.full(6, math.nan), math.nan
     if estimate is not None and covariance is not None:
-        errors = attitude_errors_deg(true, estimate, mounting)
+        errors = attitude_errors_deg(true, estimate, mounting, rotation_rad)
         to_body = mounting.inverse.as_matrix()
         sigma = np.degrees(np.sqrt([*np.diag(to_body @ covariance @ to_body.T), *np.diag(covariance)]))
         vector = true.rotation_vector_to(estimate)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
-from simulator.mission.motion import MotionState
-from simulator.optics.jitter import JitterPath
+from simulator.mission.motion import MotionState, on_mounting
+from simulator.mission.pointing import deformed
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -30,6 +31,7 @@ from simulator.study.trials.trial import (
     build_tracker,
     in_field,
     misidentified,
+    mounting_columns,
     normalised_error_squared,
 )
 from startracker.attitude import Attitude
@@ -88,6 +90,8 @@ class SequenceRunner:
         since_s = [k * section.step_s for k in range(section.frames)]
         self.states = states_at(scenario, self.renderer.scenes, self.start, since_s)
         self.renderer.scenes.plan([state.t_s for state in self.states])
+        self.rotations_rad = [self.renderer.scenes.mounting_rotation_rad(state.t_s) for state in self.states]
+        self.states = [on_mounting(state, turn) for state, turn in zip(self.states, self.rotations_rad, strict=True)]
         self.shaking = jitter_at(scenario, self.renderer.scenes, since_s)
         self.cameras = [state.camera for state in self.states]
         """True attitudes, including the mean jitter over the exposure."""
@@ -108,7 +112,7 @@ class SequenceRunner:
         self.operated: OperatedCamera | None = None
         """The camera with its rules of operation, set by `frames`; None without rules."""
 
-    def _jitter(self, k: int) -> JitterPath | None:
+    def _jitter(self, k: int) -> JitterMotion | None:
         return self.shaking[k] if self.shaking else None
 
     # ------------------------------------------------------------------ the frames
@@ -151,7 +155,8 @@ class SequenceRunner:
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
-            row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], _camera_error(row))
+            error_deg = np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
+            row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], error_deg)
             if self.single:
                 row |= self._alone(self.tracker.solve(image, **known), truth)
             row |= self.operated.columns(frame, solution, session) if self.operated else {}
@@ -204,7 +209,8 @@ class SequenceRunner:
         render_ms: float,
         track_ms: float,
     ) -> dict[str, Any]:
-        mounting = self.start.mounting
+        rotation_rad = self.rotations_rad[k]
+        mounting = deformed(self.start, rotation_rad).mounting
         estimate, covariance = session.filter_attitude, session.covariance
         mode = session.state.mode if solution.solved else "none" if estimate is None else "coasting"
         innovation = session.state.innovation
@@ -219,8 +225,10 @@ class SequenceRunner:
             "wrong": False,
             "beyond_specification": False,
         }
-        row |= attitude_columns("true_", true) | attitude_columns("", estimate)
-        compared = error_columns(true, estimate, None if covariance is None else covariance[:3, :3], mounting)
+        row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
+        compared = error_columns(
+            true, estimate, None if covariance is None else covariance[:3, :3], mounting, rotation_rad
+        )
         errors = {axis: compared[f"error_{axis}_deg"] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
         row |= compared
@@ -288,7 +296,8 @@ class SequenceRunner:
         }
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
-            errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
+            true = truth.attitude_at_tag
+            errors = attitude_errors_deg(true, solution.attitude, truth.mounting, truth.mounting_rotation_rad)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
+from simulator.mission.motion import MotionState, on_mounting
 from simulator.mission.pointing import mounting_of
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import seed_of, stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -42,7 +43,7 @@ class BodyState(NamedTuple):
     """ICRS to body, without jitter."""
     rate_rad_s: FloatArray
     """(3,): Inertial angular velocity without jitter, body axes."""
-    jitter: JitterPath | None
+    jitter: JitterMotion | None
     """Relative to this time, body axes."""
 
     def shaken(self, exposure_s: float) -> Attitude:
@@ -104,14 +105,23 @@ class HeadCamera:
         gaps = (*self.scenario.sequence.dropouts, *self.head.dropouts)
         return not any(gap.start_s <= since_s < gap.start_s + gap.duration_s for gap in gaps)
 
+    def rotation_rad(self, state: BodyState) -> FloatArray | None:
+        """Thermo-elastic rotation of the mounting (3,), camera axes; None if there is none."""
+        return self.renderer.scenes.mounting_rotation_rad(state.t_s)
+
+    def motion(self, state: BodyState) -> MotionState:
+        """The camera at its actual mounting, without jitter."""
+        rigid = MotionState(state.t_s, self.mounting @ state.body, self.mounting.apply(state.rate_rad_s))
+        return on_mounting(rigid, self.rotation_rad(state))
+
     def take(self, index: int, state: BodyState) -> tuple[Frame, FrameTruth]:
         """Frame number `index` and its truth."""
-        jitter = state.jitter
+        seen, jitter = self.motion(state), state.jitter
         return self.renderer.frame(
             index,
             at_s=state.t_s,
-            attitude=self.mounting @ state.body,
-            rate_camera_rad_s=self.mounting.apply(state.rate_rad_s),
+            attitude=seen.camera,
+            rate_camera_rad_s=seen.rate_camera_rad_s,
             jitter=None if jitter is None else jitter.in_axes(self.mounting.as_matrix()),
         )
 
@@ -140,7 +150,13 @@ class HeadCamera:
             "stars_matched": solution.matched,
             "stars_misidentified": wrong_stars,
         }
-        columns |= error_columns(truth.attitude_at_tag, solution.attitude, solution.covariance, self.mounting)
+        columns |= error_columns(
+            truth.attitude_at_tag,
+            solution.attitude,
+            solution.covariance,
+            truth.mounting,
+            truth.mounting_rotation_rad,
+        )
         error_deg = np.array([columns[f"error_{axis}_deg"] for axis in CAMERA_AXES])
         columns["wrong"] = solution.solved and self._is_wrong(truth, solution, wrong_stars, columns["nees"], error_deg)
         return columns

@@ -23,6 +23,7 @@ from simulator.study.sequence.head_camera import BodyState, HeadCamera
 from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification
+from simulator.study.trials.trial import mounting_columns
 from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import AlignedMekf, FusionFilter
@@ -256,7 +257,9 @@ class _Flight:
         runner = self.runner
         state, reference = runner.states[runner.grid_s[k]], runner.cameras[0]
         exposure_s = reference.renderer.exposure_s
-        true = reference.mounting @ state.shaken(exposure_s)
+        shaken = state._replace(body=state.shaken(exposure_s), rate_rad_s=state.shaken_rate_rad_s(exposure_s))
+        seen, rotation_rad = reference.motion(shaken), reference.rotation_rad(state)
+        true = seen.camera
         mekf = self.fusion.estimate(state.since_s)
         estimate = None if mekf is None else mekf.head_attitude(0)
         row: dict[str, Any] = {
@@ -270,11 +273,12 @@ class _Flight:
             "wrong": False,
             "beyond_specification": False,
         }
-        row |= attitude_columns("true_", true) | attitude_columns("", estimate)
-        row |= error_columns(true, estimate, None if mekf is None else mekf.head_covariance(0), reference.mounting)
+        row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
+        covariance = None if mekf is None else mekf.head_covariance(0)
+        row |= error_columns(true, estimate, covariance, seen.camera @ shaken.body.inverse, rotation_rad)
         errors = {axis: row[f"error_{axis}_deg"] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["beyond_specification"] = beyond_specification(errors, runner.specification)
-        row |= self._rates(reference.mounting.apply(state.shaken_rate_rad_s(exposure_s)), mekf)
+        row |= self._rates(seen.rate_camera_rad_s, mekf)
         row |= self._gyro_errors(state.since_s, mekf)
         for head, camera in enumerate(runner.cameras):
             row |= _alignment_columns(camera, head, mekf)

@@ -10,8 +10,8 @@ import numpy as np
 from simulator.build import sequence_motion
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H
 from simulator.mission.motion import MotionState, motion
-from simulator.mission.pointing import Pointing, hold, point, point_spinning
-from simulator.optics.jitter import JitterPath
+from simulator.mission.pointing import Pointing, hold, point, point_by, point_spinning
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -34,6 +34,8 @@ def start_pointing(scenario: Scenario, renderer: Renderer) -> Pointing:
     rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
     if law.target is None and law.spin.rate_deg_s:
         return point_spinning(law, start_s, rng)
+    if scenes.law is not None:
+        return point_by(law, scenes.law, start_s, rng)
     if law.target is None:
         return point(law, *scenes.orbit.state(start_s), rng)
     nominal = renderer.scene(0, at_s=start_s).pointing.prior
@@ -42,17 +44,17 @@ def start_pointing(scenario: Scenario, renderer: Renderer) -> Pointing:
 
 def states_at(scenario: Scenario, scenes: SceneBuilder, start: Pointing, since_s: Sequence[float]) -> list[MotionState]:
     """True states without jitter at times after the first frame, ascending, from 0."""
-    return motion(scenario.pointing, sequence_motion(scenario.sequence), scenes.orbit, start, since_s)
+    return motion(scenario.pointing, sequence_motion(scenario.sequence), scenes.orbit, start, since_s, scenes.law)
 
 
-def jitter_at(scenario: Scenario, scenes: SceneBuilder, since_s: Sequence[float]) -> list[JitterPath]:
+def jitter_at(scenario: Scenario, scenes: SceneBuilder, since_s: Sequence[float]) -> list[JitterMotion]:
     """Jitter relative to each time, one process for the whole sequence; empty without jitter."""
-    path = scenes.draw_jitter(stream(scenario.seed, "jitter", 0))
+    path = scenes.sequence_jitter(stream(scenario.seed, "jitter", 0), scenario.sequence.start_s)
     return [path.shifted(t_s) for t_s in since_s] if path is not None else []
 
 
 def process_noise(
-    section: SequenceSection, states: Sequence[MotionState], shaking: Sequence[JitterPath], exposure_s: float
+    section: SequenceSection, states: Sequence[MotionState], shaking: Sequence[JitterMotion], exposure_s: float
 ) -> GyroNoise | RateNoise:
     """Process noise of the filter, from motion and jitter at the frames or from the gyro."""
     walk = section.rate_walk_deg_s_sqrt_s
@@ -75,7 +77,7 @@ def process_noise(
     )
 
 
-def _jitter_walk(section: SequenceSection, shaking: Sequence[JitterPath], exposure_s: float) -> float:
+def _jitter_walk(section: SequenceSection, shaking: Sequence[JitterMotion], exposure_s: float) -> float:
     """White angular acceleration, rad/s/√s, equivalent to the second differences of the jitter angles.
 
     For an angle driven by a density q their variance is 2 q h³/3 at a step h.
