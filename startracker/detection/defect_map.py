@@ -81,8 +81,10 @@ class DefectMap:
         if not moved.any():
             return
         self._seen[moved], self._never[moved] = matrix, False
-        height, width = self.mask.shape
-        untested = ~moved[np.ix_(np.arange(height) * _TILES // height, np.arange(width) * _TILES // width)]
+        untested = np.zeros(self.mask.shape, np.bool_)
+        rows, columns = (np.linspace(0, side, _TILES + 1).round().astype(int) for side in self.mask.shape)
+        for j, i in np.argwhere(~moved):
+            untested[rows[j] : rows[j + 1], columns[i] : columns[i + 1]] = True
         if ignore is not None:
             untested |= ignore
         for x, y in np.rint(stars_xy).astype(int):
