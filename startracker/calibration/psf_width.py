@@ -32,6 +32,10 @@ _SIGMA_OF_MAD = 1.4826
 _NOISE_FREE = 1e-3
 """Minimum noise relative to the peak of the star."""
 _MEDIAN_ERROR = math.sqrt(0.5 * math.pi)
+_FEW_VALUES = 0.8
+"""The median absolute deviation of n values is too small by n / (n − 0.8) (Croux & Rousseeuw 1992, COMPSTAT 1, 411)."""
+_FIRST_WEIGHT = 4.0
+"""Weight of the initial standard deviation as the scatter of single stars, in stars."""
 _MEMORY = 0.98
 """Fading of the scatter of single stars from frame to frame."""
 _GATE_SIGMAS = 5.0
@@ -115,7 +119,7 @@ class WidthFilter:
         self.variance_px2 = sigma_px**2
         self.drift_px_sqrt_s = drift_px_sqrt_s
         self.frames = 0
-        self._scatter2 = self._weight = 0.0
+        self._scatter2, self._weight = _FIRST_WEIGHT * sigma_px**2, _FIRST_WEIGHT
 
     def __repr__(self) -> str:
         return described("WidthFilter", f"{self.width_px:.4f}±{self.sigma_px:.2g} px", f"{self.frames} frames")
@@ -137,11 +141,12 @@ class WidthFilter:
         if len(widths_px) < _FEWEST:
             return False
         median = float(np.median(widths_px))
-        scatter = _SIGMA_OF_MAD * float(np.median(np.abs(widths_px - median)))
-        weight = len(widths_px) - 1.0
+        count = len(widths_px)
+        scatter = _SIGMA_OF_MAD * float(np.median(np.abs(widths_px - median))) * count / (count - _FEW_VALUES)
+        weight = count - 1.0
         self._scatter2 = _MEMORY * self._scatter2 + weight * scatter**2
         self._weight = _MEMORY * self._weight + weight
-        noise = max(_MEDIAN_ERROR**2 * self._scatter2 / self._weight / len(widths_px), 1e-12)
+        noise = max(_MEDIAN_ERROR**2 * self._scatter2 / self._weight / count, 1e-12)
         if math.isnan(self.width_px):
             self.width_px, self.frames = median, 1
             self.variance_px2 = min(self.variance_px2, noise)

@@ -105,17 +105,17 @@ def test_widths_of_gaussian_stars():
 
 
 def test_width_is_a_kalman_filter_of_a_random_walk():
-    """40 sequences of a drifting width: the mean of the normalised squares of the errors is 1 within 3 √(2/40)."""
+    """300 sequences of a drifting width: the mean of the normalised squares of the errors is 1 within 3 √(2/300)."""
     normal = []
-    for seed in range(40):
+    for seed in range(300):
         rng = np.random.default_rng(seed)
         width, filtered = 0.9 + 0.1 * rng.normal(), WidthFilter(0.1, 0.001, 0.9)
-        for _ in range(200):
+        for _ in range(80):
             width += 0.001 * rng.normal()
             filtered.predict(1.0)
             assert filtered.update(width + 0.02 * rng.normal(size=9))
         normal.append((filtered.width_px - width) / filtered.sigma_px)
-    assert np.mean(np.square(normal)) == pytest.approx(1.0, abs=3.0 * math.sqrt(2.0 / 40.0))
+    assert np.mean(np.square(normal)) == pytest.approx(1.0, abs=3.0 * math.sqrt(2.0 / 300.0))
     assert filtered.sigma_px < 0.004
     assert not filtered.update(np.full(9, 2.0))  # beyond five standard deviations
     assert not filtered.update(np.array([0.9, 0.9]))  # too few
