@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from simulator.build import sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
-from simulator.mission.motion import MotionState, motion
-from simulator.mission.pointing import Pointing, hold, point, point_spinning
-from simulator.optics.jitter import JitterPath
+from simulator.mission.motion import MotionState, motion, on_mounting
+from simulator.mission.pointing import Pointing, deformed, hold, point, point_by, point_spinning
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -32,6 +32,7 @@ from simulator.study.trials.trial import (
     build_tracker,
     in_field,
     misidentified,
+    mounting_columns,
     normalised_error_squared,
 )
 from startracker.attitude import Attitude
@@ -96,8 +97,10 @@ class SequenceRunner:
         self._pointing = scenario.pointing
         self.start = self._start()
         plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
-        self.states = motion(self._pointing, plan, orbit, self.start, section.frames)
+        self.states = motion(self._pointing, plan, orbit, self.start, section.frames, self.renderer.scenes.law)
         self.renderer.scenes.plan([state.t_s for state in self.states])
+        self.rotations_rad = [self.renderer.scenes.mounting_rotation_rad(state.t_s) for state in self.states]
+        self.states = [on_mounting(state, turn) for state, turn in zip(self.states, self.rotations_rad, strict=True)]
         self.shaking = self._shaking()
         self.cameras = [state.camera for state in self.states]
         """True attitudes, including the mean jitter over the exposure."""
@@ -121,13 +124,13 @@ class SequenceRunner:
         self.calibrated: CalibratedCamera | None = None
         """The camera with its calibration in flight, set by `frames`; None without."""
 
-    def _shaking(self) -> list[JitterPath]:
+    def _shaking(self) -> list[JitterMotion]:
         """Jitter relative to each mid-exposure, one process for the whole sequence; empty without jitter."""
-        path = self.renderer.scenes.draw_jitter(stream(self.scenario.seed, "jitter", 0))
         section = self.scenario.sequence
+        path = self.renderer.scenes.sequence_jitter(stream(self.scenario.seed, "jitter", 0), section.start_s)
         return [path.shifted(k * section.step_s) for k in range(section.frames)] if path is not None else []
 
-    def _jitter(self, k: int) -> JitterPath | None:
+    def _jitter(self, k: int) -> JitterMotion | None:
         return self.shaking[k] if self.shaking else None
 
     def _start(self) -> Pointing:
@@ -136,6 +139,8 @@ class SequenceRunner:
         rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
         if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
             return point_spinning(self._pointing, start_s, rng)
+        if scenes.law is not None:
+            return point_by(self._pointing, scenes.law, start_s, rng)
         if scenario.pointing.target is None:
             return point(self._pointing, *scenes.orbit.state(start_s), rng)
         nominal = self.renderer.scene(0, at_s=start_s).pointing.prior
@@ -204,19 +209,14 @@ class SequenceRunner:
             image: NDArray[Any] = frame.image
             if self.operated is not None and self.operated.verdict.image is not None:
                 image = self.operated.verdict.image
-            known: dict[str, Any] = {
-                "observer": frame.observer,
-                "saturation_dn": frame.saturation_dn,
-                "gain_e_per_dn": frame.gain_e_per_dn,
-            }
+            known: dict[str, Any] = {n: getattr(frame, n) for n in ("observer", "saturation_dn", "gain_e_per_dn")}
             solution = session.update(image, since_s + truth.time_tag_error_s, gyro_rad_s=gyro, **known)
             tracked = clock()
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
-            row["wrong"] = self._is_wrong(
-                truth, solution, row["stars_misidentified"], row["nees"], camera_error_deg(row)
-            )
+            misnamed, error_deg = row["stars_misidentified"], camera_error_deg(row)
+            row["wrong"] = self._is_wrong(truth, solution, misnamed, row["nees"], error_deg)
             if self.single:
                 row |= self._alone(self.tracker.solve(image, **known), truth)
             row |= self.operated.columns(frame, solution, session) if self.operated else {}
@@ -276,7 +276,8 @@ class SequenceRunner:
         render_ms: float,
         track_ms: float,
     ) -> dict[str, Any]:
-        mounting = self.start.mounting
+        rotation_rad = self.rotations_rad[k]
+        mounting = deformed(self.start, rotation_rad).mounting
         estimate, covariance = session.filter_attitude, session.covariance
         mode = session.state.mode if solution.solved else "none" if estimate is None else "coasting"
         innovation = session.state.innovation
@@ -291,12 +292,12 @@ class SequenceRunner:
             "wrong": False,
             "beyond_specification": False,
         }
-        row |= attitude_columns("true_", true) | attitude_columns("", estimate)
+        row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         sigma = np.full(6, math.nan)
         nees = math.nan
         if estimate is not None and covariance is not None:
-            errors = attitude_errors_deg(true, estimate, mounting)
+            errors = attitude_errors_deg(true, estimate, mounting, rotation_rad)
             row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
             camera = covariance[:3, :3]
             to_body = mounting.inverse.as_matrix()
@@ -372,7 +373,8 @@ class SequenceRunner:
         }
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
-            errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
+            true = truth.attitude_at_tag
+            errors = attitude_errors_deg(true, solution.attitude, truth.mounting, truth.mounting_rotation_rad)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
