@@ -37,6 +37,7 @@ from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
 from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
+from simulator.sky.satellites import load_satellites
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 
@@ -167,7 +168,8 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
         spectrum=load_spectrum(scenario.pointing.jitter, scenario.base_dir),
         sky=scenario.sky,
     )
-    return SceneBuilder(parameters, build_orbit(scenario))
+    orbit = build_orbit(scenario)
+    return SceneBuilder(parameters, orbit, load_satellites(scenario.sky.satellites, orbit.clock, scenario.base_dir))
 
 
 def build_orbit(scenario: Scenario) -> Trajectory:

@@ -148,7 +148,7 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
         {
             "id": s.id,
             "name": s.name.astype("U24"),
-            "kind": s.kind.astype("U8"),
+            "kind": s.kind.astype(np.promote_types("U8", s.kind.dtype)),
             "x": s.xy[:, 0],
             "y": s.xy[:, 1],
             "x_image": s.image_xy[:, 0],

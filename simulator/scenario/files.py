@@ -14,7 +14,7 @@ from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_doc
 from simulator.scenario.errors import Location, Problem
 from simulator.scenario.overrides import merge
 
-ALWAYS_FILES = tuple(f"orbit.{key}" for key in FILES)
+ALWAYS_FILES = (*(f"orbit.{key}" for key in FILES), "sky.satellites.file")
 """Keys that name a file, relative to the scenario file, or for ``--set`` to the working folder."""
 FILE_KEYS = (
     "optics.transmission",
