@@ -55,7 +55,7 @@ def _target(given: Path | None, name: str, several: bool) -> Path | None:
 
 def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None, request: RenderRequest) -> None:
     if image is not None:
-        write_fits(image, frame, truth, noiseless_plane=request.noiseless_plane)
+        write_fits(image, frame, truth, noiseless_plane=request.noiseless_plane, wcs=request.wcs)
         print(f"{image}: {frame.image.shape[1]}×{frame.image.shape[0]} pixels, with the truth in its table TRUTH")
     if picture is not None:
         write_atomically(picture, _preview(frame, truth, picture_format(picture), request))

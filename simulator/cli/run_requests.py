@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -86,6 +86,12 @@ class RenderRequest:
     noiseless_plane: Annotated[
         bool, switch("--noiseless-plane", "Add the mean photo-electrons to the FITS file (extension MEAN_E).")
     ] = False
+    wcs: Annotated[
+        Literal["astrometric", "apparent"],
+        option(
+            "--wcs", "FORM", "World coordinates of the FITS file: astrometric (no aberration) or apparent (with it)."
+        ),
+    ] = "astrometric"
 
 
 @dataclass(frozen=True)
