@@ -60,6 +60,10 @@ class RunRequest:
         bool,
         switch("--ccsds", "Write the trajectory as OEM, and true and estimated attitudes as AEM and ACM.", _SEQUENCES),
     ] = False
+    spice: Annotated[
+        bool,
+        switch("--spice", "Write the trajectory as SPK, and true and estimated attitudes as CK kernels.", _SEQUENCES),
+    ] = False
 
 
 @dataclass(frozen=True)
