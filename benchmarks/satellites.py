@@ -76,7 +76,7 @@ def outcomes(scenario: Scenario, counts: tuple[int, ...], trials: int) -> list[d
         runner.renderer.scenes.satellites = Crossing(count, radius_rad)
         done = [runner.run(index) for index in range(trials)]
         solved = [row for row in done if row["status"] == "solved"]
-        errors = np.array([(row["error_cross_x_deg"], row["error_cross_y_deg"]) for row in solved if not row["wrong"]])
+        across = np.array([math.hypot(row["error_cross_x_deg"], row["error_cross_y_deg"]) for row in solved]) * 3600.0
         rows.append(
             {
                 "satellites": count,
@@ -87,7 +87,9 @@ def outcomes(scenario: Scenario, counts: tuple[int, ...], trials: int) -> list[d
                 "misidentified": sum(row["stars_misidentified"] for row in done),
                 "detected_mean": float(np.mean([row["stars_detected"] for row in done])),
                 "matched_mean": float(np.mean([row["stars_matched"] for row in solved])) if solved else math.nan,
-                "cross_rms_arcsec": float(np.sqrt(np.mean(errors**2)) * 3600.0) if len(errors) else math.nan,
+                "across_median_arcsec": float(np.median(across)) if solved else math.nan,
+                "across_p99_arcsec": float(np.quantile(across, 0.99)) if solved else math.nan,
+                "nees_mean": float(np.mean([row["nees"] for row in solved])) if solved else math.nan,
                 "identification_ms": float(np.median([row["identification_ms"] for row in done])),
             }
         )
@@ -99,7 +101,8 @@ def _line(row: dict[str, Any]) -> str:
     return (
         f"{row['satellites']:4d} satellites: {row['solved']}/{row['trials']} solved, {row['wrong']} wrong, "
         f"{row['misidentified']} stars misidentified; {row['detected_mean']:.1f} detected, {row['matched_mean']:.1f} "
-        f"matched; {row['cross_rms_arcsec']:.2f}″ rms across, identification {row['identification_ms']:.2f} ms"
+        f"matched; error across {row['across_median_arcsec']:.2f}″ (99 %: {row['across_p99_arcsec']:.2f}″), "
+        f"NEES {row['nees_mean']:.2f}; identification {row['identification_ms']:.2f} ms"
     )
 
 

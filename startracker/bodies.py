@@ -15,7 +15,7 @@ from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.observer import Observer, aberrate
 
-__all__ = ["SeenBodies", "body_directions", "seen_bodies"]
+__all__ = ["SeenBodies", "beside_bodies", "body_directions", "seen_bodies"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -137,6 +137,21 @@ def seen_bodies(
         if away[row] <= _BODY_PX + reach_rad / camera.pixel_rad and away[row] < from_star.get(row, math.inf):
             found.append((names[k], row, xy[row], xy[row] - predicted))
     return SeenBodies(*(np.array(column) for column in zip(*found, strict=True))) if found else SeenBodies.none()
+
+
+def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: float) -> NDArray[np.bool_]:
+    """Which apparent directions (N, 3) are so close to a body of the solar system that its image may be taken for that
+    of a star there: within 6 px and the radius of the disk; none without an observer or for a date outside DE421."""
+    beside = np.zeros(len(directions), dtype=bool)
+    if observer is None:
+        return beside
+    try:
+        bodies = body_directions(observer)
+    except InputError:
+        return beside
+    reach_rad = np.array([_RADIUS_RAD.get(name, _PLANET_RAD) for name in bodies]) + 2.0 * _BODY_PX * pixel_rad
+    chord = np.linalg.norm(directions[:, None] - np.array(list(bodies.values())), axis=2)
+    return np.asarray((chord < reach_rad).any(axis=1))
 
 
 def _states_au(jd: float) -> tuple[FloatArray, FloatArray]:

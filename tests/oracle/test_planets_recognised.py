@@ -12,6 +12,7 @@ from startracker.bodies import SeenBodies, body_directions
 from startracker.constants import ARCSEC_RAD, DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.ephemeris import astrometric_au, barycentric, timescale
 from startracker.observer import aberrate
+from startracker.tracking.looking import Sky
 
 
 def near_earth(year):
@@ -124,3 +125,20 @@ def test_the_tracker_and_the_renderer_agree_on_planets():
     bodies = bodies_seen_from(clock, scene.t_s, scene.observer.position_au, scene.observer.velocity_km_s, sky)
     for name, direction in zip(bodies.name.tolist(), bodies.direction, strict=True):
         assert np.linalg.norm(direction - found[name]) < 2.0 * ARCSEC_RAD
+
+
+def test_tracking_expects_no_star_beside_a_planet():
+    camera = Camera.from_fov(20.0, 512, 512)
+    tracker = StarTracker(camera, magnitude_limit=5.5)
+    planet, observer, _, row, _ = planet_beside_a_guide_star(tracker, camera)
+    ra, dec = np.degrees(np.arctan2(planet[1], planet[0])), np.degrees(np.arcsin(planet[2]))
+    matrix = Attitude.from_radec_roll(ra + 2.0, dec - 1.0, 0.0).as_matrix()
+    sky = Sky(tracker.guide, camera.pixel_rad)
+    found = sky.expected(matrix, observer, 1000).index.tolist()
+    earlier = Observer(observer.epoch_jyear - 0.5, observer.velocity_km_s, observer.position_au)
+    before = sky.expected(matrix, earlier, 1000).index.tolist()
+    assert row in before
+    assert row not in found
+    # Moon and Sun may be in the field half a year earlier or now
+    assert len(set(before) - set(found)) <= 5
+    assert len(sky.expected(matrix, None, 1000).index) >= len(found)
