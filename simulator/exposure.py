@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.optics.drift import Drift, drifting_paths
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from startracker.camera import Camera
@@ -42,7 +42,7 @@ class Motion(NamedTuple):
     """Rotation of the camera during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
 
     rate_rad_s: FloatArray
-    jitter: JitterPath | None = None
+    jitter: JitterMotion | None = None
 
 
 class Paths(NamedTuple):

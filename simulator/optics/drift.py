@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.smear import (
     DEFAULT_FEATURE_PX,
     DEFAULT_MARGIN_PX,
@@ -47,7 +47,7 @@ def drifting_paths(
     exposure_s: float,
     feature_px: float = DEFAULT_FEATURE_PX,
     margin_px: float = DEFAULT_MARGIN_PX,
-    jitter: JitterPath | None = None,
+    jitter: JitterMotion | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Pixel positions of moving sources during an exposure with a constant body rate and jitter.
 
@@ -88,7 +88,7 @@ def _positions(
     rate_rad_s: FloatArray,
     t_s: FloatArray,
     limit_rad: float,
-    jitter: JitterPath | None,
+    jitter: JitterMotion | None,
 ) -> FloatArray:
     """Pixels (N, K, 2) at moments (K,); NaN beyond an angle from the boresight."""
     turning = rotation_matrices(-rate_rad_s * t_s[:, None])

@@ -57,8 +57,6 @@ LEAST_KM = 0.01
 """Nearer objects are the spacecraft itself, whose elements may be in the list."""
 _NODES = 5
 """Instants of an exposure through which a path is fitted: a quartic is within 0.005″ of Skyfield over 10 s."""
-_MARGIN_S = 0.1
-"""Paths are fitted this long beyond the exposure, for the later rows of a rolling shutter."""
 _SHIFT_RAD = 3e-4
 """Upper limit of aberration and light time together, for the selection of satellites near the field."""
 
@@ -105,6 +103,7 @@ class Look(NamedTuple):
     t_s: float
     """Mid-exposure, seconds after the epoch."""
     exposure_s: float
+    """Time from the first to the last exposed row, over which paths are fitted."""
     states: Callable[[FloatArray], States]
     """Geocentric states (K, 3) of the spacecraft at times (K,)."""
     span_s: tuple[float, float]
@@ -177,7 +176,7 @@ class SatelliteList(NamedTuple):
 
     def _path_km(self, rows: IntArray, look: Look, sky: Sky) -> FloatArray:
         """Polynomials (n, 5, 3) of the apparent vectors of some rows."""
-        half_s = 0.5 * look.exposure_s + _MARGIN_S
+        half_s = 0.5 * look.exposure_s
         first_s, last_s = max(look.t_s - half_s, look.span_s[0]), min(look.t_s + half_s, look.span_s[1])
         chebyshev = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
         t_s = 0.5 * (first_s + last_s) + 0.5 * (last_s - first_s) * chebyshev
