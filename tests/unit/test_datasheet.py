@@ -103,6 +103,21 @@ def test_a_swinging_rate_has_its_acceleration_and_amplitude() -> None:
     assert np.median(slope) == pytest.approx(0.4, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("passes", "same"),
+    [
+        ([{1: 0.2, 2: 90.0}, {1: 0.9, 2: 90.0}], True),
+        ([{1: 0.2, 2: 90.0}, {2: 90.0}], False),
+        ([{2: 90.0}, {1: -0.7, 2: 90.0}], False),
+        # a faint star in the middle that noise hides in one of the passes
+        ([{1: 0.2, 2: 90.0}, {1: 0.2}], True),
+        ([{}, {}], True),
+    ],
+)
+def test_stars_that_enter_or_leave_between_passes(passes: list[dict[int, float]], same: bool) -> None:
+    assert frames._same_at_border(passes) is same
+
+
 def test_the_rotation_of_displaced_stars() -> None:
     """Against the exact rotation of directions by an attitude; second order in the angle."""
     vectors = np.random.default_rng(1).normal(size=(12, 3)) * 0.1 + np.array([0.0, 0.0, 1.0])

@@ -51,7 +51,8 @@ def measure_accuracy(scenario: Scenario, runner: TaskRunner, fields: int, trials
     geometry = scan_geometry(detector.width, detector.height)
     scans = runner.run([Task(scenario, "scan", (field, geometry)) for field in range(fields)])
     passes = np.stack([scan["error_deg"] for scan in scans], axis=1) * ARCSEC_PER_DEG
-    found = separate(passes, geometry, scenario.seed)
+    same_field = np.stack([scan["same_field"] for scan in scans])
+    found = separate(passes, geometry, scenario.seed, same_field)
     columns = runner.trials(scenario, trials)
     bound = np.stack([scan["noise_bound_deg"] for scan in scans]) * ARCSEC_PER_DEG
     quantities = [

@@ -21,7 +21,7 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scene import Scene
-from simulator.study.datasheet.scan import ScanGeometry, scan_attitudes
+from simulator.study.datasheet.scan import PASSES, SAME_PIXELS, ScanGeometry, scan_attitudes
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.specification.measured import JUDGED_COLUMNS
 from simulator.study.statistics import AXES, CAMERA_AXES
@@ -35,13 +35,14 @@ from simulator.study.trials.trial import (
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.solution import Solution
 
-__all__ = ["PASSES", "DatasheetFrames", "sequence_columns"]
+__all__ = ["DatasheetFrames", "sequence_columns"]
 
 FloatArray = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 
-PASSES = 3
-"""Passes of a scan: two with the device, one with other pixels."""
+BORDER_PX = 3.0
+"""Distance from the border of the detector within which a star may be missing in some of the passes as it enters or
+leaves the field: its light reaches up to two pixels beyond, the shifts of the passes one."""
 
 BOUND_EVERY = 3
 """The bound of the noise is computed for each third frame of a scan."""
@@ -93,7 +94,7 @@ class DatasheetFrames:
         return columns | {"status": status, "solved": solved, "wrong": wrong, "right": solved & ~wrong}
 
     def scan(self, field: int, geometry: ScanGeometry) -> Columns:
-        """The three passes over one field.
+        """The passes over one field.
 
         The field is that of trial `field`, at its time and with its angular rate, which smears the images as in the
         mission; the attitudes of successive frames are those of the scan.
@@ -103,28 +104,31 @@ class DatasheetFrames:
         dict
             ``error_deg`` (passes, frames, 3), camera axes, NaN for frames without a correct attitude;
             ``noise_bound_deg`` (frames, 3), Cramér–Rao bound of the noise alone, NaN where it is not computed;
-            ``stars`` (passes, frames).
+            ``stars`` (passes, frames); ``same_field`` (frames,), whether no star enters or leaves the field between the
+            attitudes of the passes.
         """
         scene = self.renderer.scene(field)
         pointing, t_s = scene.pointing, scene.t_s
         self.renderer.scenes.plan([t_s])
         camera = self.renderer.camera
         looks = scan_attitudes(pointing.camera, geometry, (1.0 / camera.fx, 1.0 / camera.fy))
-        error_deg = np.full((PASSES, len(looks), 3), np.nan)
-        bound_deg = np.full((len(looks), 3), np.nan)
-        stars = np.zeros((PASSES, len(looks)))
-        for number in range(PASSES):
-            renderer = self.renderer if number < PASSES - 1 else self._with_other_pixels()
-            for k, look in enumerate(looks):
+        error_deg = np.full((PASSES, geometry.frames, 3), np.nan)
+        bound_deg = np.full((geometry.frames, 3), np.nan)
+        seen: list[list[dict[int, float]]] = [[] for _ in range(geometry.frames)]
+        for number, of_pass in enumerate(looks):
+            renderer = self.renderer if number < SAME_PIXELS else self._with_other_pixels()
+            for k, look in enumerate(of_pass):
                 index = _SCAN_INDEX + (field * PASSES + number) * _MOST_FRAMES + k
                 frame, truth = renderer.frame(
                     index, at_s=t_s, attitude=look, rate_camera_rad_s=pointing.rate_camera_rad_s
                 )
-                error, matched, fitted = self._measured(frame, truth)
-                error_deg[number, k], stars[number, k] = error, len(matched)
+                error_deg[number, k], matched, fitted = self._measured(frame, truth)
+                seen[k].append(_border_distances_px(truth, matched, frame.image.shape))
                 if number == 0 and k % BOUND_EVERY == 0 and fitted:
                     bound_deg[k] = attitude_bound_deg(self._with_noise_only(), truth, matched)
-        return {"error_deg": error_deg, "noise_bound_deg": bound_deg, "stars": stars}
+        same = np.array([_same_at_border(passes) for passes in seen])
+        stars = np.array([[len(found) for found in passes] for passes in seen]).T
+        return {"error_deg": error_deg, "noise_bound_deg": bound_deg, "stars": stars, "same_field": same}
 
     def at_rate(self, first: int, count: int, rate_deg_s: float) -> Columns:
         """Frames at the attitudes of trials, and a given rate about axes across the boresight, evenly distributed.
@@ -251,6 +255,22 @@ class DatasheetFrames:
             self._noise_only = copy.copy(self.renderer)
             self._noise_only.detector = Detector(replace(device.parameters, prnu=0.0, dsnu=0.0), device.pattern)
         return self._noise_only
+
+
+def _border_distances_px(truth: FrameTruth, rows: NDArray[np.int64], shape: tuple[int, ...]) -> dict[int, float]:
+    """Distance from the border of the image, negative outside, of the stars in given rows of the sources, by number."""
+    size = np.array(shape[::-1])
+    xy = truth.sources.image_xy[rows]
+    inside = np.minimum(xy + 0.5, size - 0.5 - xy).min(axis=1)
+    return dict(zip(truth.sources.id[rows].tolist(), inside.tolist(), strict=True))
+
+
+def _same_at_border(passes: list[dict[int, float]]) -> bool:
+    """Whether no star near the border is missing in some of the passes."""
+    everywhere = set(passes[0]).intersection(*passes[1:])
+    return not any(
+        distance < BORDER_PX for found in passes for star, distance in found.items() if star not in everywhere
+    )
 
 
 def _body_direction(scene: Scene, body: str) -> tuple[FloatArray, float]:
