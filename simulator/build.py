@@ -20,6 +20,8 @@ from simulator.environment.parameters import Environment
 from simulator.environment.transients import Transients
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
+from simulator.mission.attitudes import build_attitude_law
+from simulator.mission.jitter_table import read_jitter
 from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
 from simulator.mission.trajectories import build_trajectory
@@ -55,6 +57,9 @@ __all__ = [
     "sequence_motion",
     "shutter_of",
 ]
+
+_LARGEST_IMAGE_PX = 512
+"""Lines above and below the detector, in the images of whose stars a rolling shutter has rows."""
 
 
 def build_camera(scenario: Scenario) -> Camera:
@@ -160,14 +165,18 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
     InputError
         For a target that is not in its sky, or names or files that cannot be used.
     """
+    orbit, detector = build_orbit(scenario), scenario.detector
+    margin_lines = detector.height + 2 * _LARGEST_IMAGE_PX if detector.shutter == "rolling" else 0
     parameters = SceneParameters(
         seed=scenario.seed,
         sampling=scenario.study.sampling,
         pointing=scenario.pointing,
         spectrum=load_spectrum(scenario.pointing.jitter, scenario.base_dir),
         sky=scenario.sky,
+        series=read_jitter(scenario.pointing.jitter, orbit.clock, scenario.base_dir),
+        exposure_margin_s=margin_lines * detector.line_time_us * 1e-6,
     )
-    return SceneBuilder(parameters, build_orbit(scenario))
+    return SceneBuilder(parameters, orbit, build_attitude_law(scenario.pointing, orbit, scenario.base_dir))
 
 
 def build_orbit(scenario: Scenario) -> Trajectory:

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from startracker.camera import Camera
@@ -41,7 +41,7 @@ class Motion(NamedTuple):
     """Rotation of the camera during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
 
     rate_rad_s: FloatArray
-    jitter: JitterPath | None = None
+    jitter: JitterMotion | None = None
 
 
 class Paths(NamedTuple):

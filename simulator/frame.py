@@ -123,7 +123,7 @@ class FrameTruth:
     attitude: Attitude
     """ICRS to camera."""
     mounting: Attitude
-    """Body to camera."""
+    """True body to camera."""
     rate_camera_rad_s: FloatArray
     """(3,): Inertial angular velocity in camera axes."""
     t_s: float
@@ -138,6 +138,9 @@ class FrameTruth:
     """Stated minus true time of mid-exposure."""
     particles_cm2_s: float = 0.0
     """Rate of charged particles through the surface of the detector."""
+    mounting_rotation_rad: FloatArray | None = None
+    """(3,): Thermo-elastic rotation vector of the mounting, camera axes, which `mounting` contains; None if there is
+    none."""
 
     @property
     def attitude_at_tag(self) -> Attitude:

@@ -20,7 +20,7 @@ from simulator.detector.readout import electronics_noise_e
 from simulator.exposure import Exposure
 from simulator.focal_plane import Illumination
 from simulator.frame import Frame, FrameTruth
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
 from simulator.scene import GivenState, Scene
@@ -87,7 +87,7 @@ class Renderer:
         at_s: float | None = None,
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
-        jitter: JitterPath | None = None,
+        jitter: JitterMotion | None = None,
         exposure_s: float | None = None,
     ) -> Scene:
         """Scene of trial `index`; parameters as in `frame`."""
@@ -109,7 +109,7 @@ class Renderer:
         at_s: float | None = None,
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
-        jitter: JitterPath | None = None,
+        jitter: JitterMotion | None = None,
         exposure_s: float | None = None,
     ) -> tuple[Frame, FrameTruth]:
         """Frame and truth of trial `index`; parameters as in `render`.
@@ -166,6 +166,7 @@ class Renderer:
             excluded=light.excluded,
             time_tag_error_s=late_s,
             particles_cm2_s=self._particles_cm2_s(moment),
+            mounting_rotation_rad=scene.pointing.mounting_rotation_rad,
         )
         return frame, truth
 
@@ -198,6 +199,8 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
             flat[prefix] = value
 
     resolved = scenario.resolved()
+    if scenario.pointing.track.target is None:
+        del resolved["pointing"]["track"]  # some forty keys of another orbit
     sections = ("orbit", "pointing", "sky", "tether", "optics", "detector", "environment")
     walk("", {name: resolved[name] for name in sections})
     return flat

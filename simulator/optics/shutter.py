@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.smear import (
     DEFAULT_FEATURE_PX,
     DEFAULT_MARGIN_PX,
@@ -59,7 +59,7 @@ def rolling_paths(
     line_time_s: float,
     feature_px: float = DEFAULT_FEATURE_PX,
     margin_px: float = DEFAULT_MARGIN_PX,
-    jitter: JitterPath | None = None,
+    jitter: JitterMotion | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pixel positions of stars during the exposure of their rows.
 
@@ -194,7 +194,7 @@ def frame_transfer_smear(
     return gathered if direction == "up" else np.ascontiguousarray(gathered[::-1])
 
 
-def _spline(jitter: JitterPath, reach_s: float) -> CubicSpline:
+def _spline(jitter: JitterMotion, reach_s: float) -> CubicSpline:
     """The path from −reach to +reach as a spline, which is faster than its cosines if each star has its own moments."""
     from scipy.interpolate import CubicSpline
 

@@ -9,12 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simulator.mission.parameters import FILES
+from simulator.mission.parameters import ATTITUDE_FILES, FILES
 from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, read_text, show_value
 from simulator.scenario.errors import Location, Problem
 from simulator.scenario.overrides import merge
 
-ALWAYS_FILES = tuple(f"orbit.{key}" for key in FILES)
+ALWAYS_FILES = (
+    *(f"orbit.{key}" for key in FILES),
+    *(f"pointing.track.spacecraft.{key}" for key in FILES),
+    "pointing.jitter.series",
+    *(f"pointing.attitude.{key}" for key in (*ATTITUDE_FILES, "sclk")),
+)
 """Keys that name a file, relative to the scenario file, or for ``--set`` to the working folder."""
 FILE_KEYS = (
     "optics.transmission",

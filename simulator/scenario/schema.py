@@ -15,6 +15,7 @@ from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intens
 from simulator.environment.parameters import Environment
 from simulator.mission.parameters import (
     ForceModel,
+    GroundTarget,
     Gyro,
     KeplerianElements,
     OrbitParameters,
@@ -22,6 +23,9 @@ from simulator.mission.parameters import (
     RatePoint,
     Slew,
     Spin,
+    Track,
+    Waypoint,
+    Waypoints,
 )
 from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
@@ -149,6 +153,14 @@ LIMITS: dict[type, dict[str, Any]] = {
         "corner_hz": Positive,
         "axes": Literal["camera", "body"],
     },
+    Waypoint: {"dec_deg": Annotated[float, Field(ge=-90, le=90)]},
+    Waypoints: {"max_rate_deg_s": Positive, "acceleration_deg_s2": Positive},
+    GroundTarget: {
+        "latitude_deg": Annotated[float, Field(ge=-90, le=90)],
+        "longitude_deg": Annotated[float, Field(ge=-180, le=360)],
+        "height_km": Annotated[FiniteFloat, Field(ge=-12, le=1e6)],
+    },
+    Track: {"direction_deg": tuple[float, Annotated[float, Field(ge=-90, le=90)]]},
     RatePoint: {"at_s": NonNegative},
     Slew: {"max_rate_deg_s": Positive, "acceleration_deg_s2": Positive, "start_s": NonNegative},
     Gyro: {

@@ -18,6 +18,7 @@ from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect
 from simulator.study.budget.outliers import ALL_ON, Outlier, find_outliers, lines_of
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.statistics import CAMERA_AXES
+from simulator.study.trials.arrow import as_array
 from simulator.study.trials.engine import Progress, run_trials
 from startracker.errors import BoresightError, InputError
 
@@ -232,11 +233,11 @@ class _Run(NamedTuple):
 
 
 def _errors(table: Any) -> _Run:
-    errors = np.stack([table[f"error_{axis}_deg"].to_numpy() for axis in CAMERA_AXES], axis=1)
+    errors = np.stack([as_array(table[f"error_{axis}_deg"]) for axis in CAMERA_AXES], axis=1)
     solved = np.array([status == "solved" for status in table["status"].to_pylist()], dtype=bool)
     names = [f"bound_{axis}_deg" for axis in CAMERA_AXES]
     known = all(name in table.column_names for name in names)
-    bound = np.stack([table[name].to_numpy() for name in names], axis=1) if known else np.full_like(errors, math.nan)
+    bound = np.stack([as_array(table[name]) for name in names], axis=1) if known else np.full_like(errors, math.nan)
     return _Run(errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool), solved, bound)
 
 

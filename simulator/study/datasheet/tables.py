@@ -71,7 +71,7 @@ def accuracy_table(column: Column) -> Table:
     """Classes by axis: rms or mean, and the levels."""
     values = column.sections["accuracy"] + column.sections["residuals"]
     rows = []
-    for name in (*ROWS[:1], "thermo_elastic", *ROWS[1:5], "aberration_residual", *ROWS[5:]):
+    for name in (*ROWS[:1], "thermo_elastic", "thermo_elastic_mounting", *ROWS[1:5], "aberration_residual", *ROWS[5:]):
         for axis in CAMERA_AXES:
             cells = [_first(values, (f"{name}_mean", f"{name}_rms", name), axis)]
             cells += [select(values, name, axis, level) for level in LEVELS]

@@ -101,7 +101,7 @@ def panels(columns: Columns, specification: Specification, catalog: StarCatalog)
         Panel(
             "Boresights",
             "Boresights of the trials, Sanson–Flamsteed projection, ICRS.",
-            functools.partial(draw_sky, columns, catalog),
+            functools.partial(draw_sky, columns, catalog.brighter_than(_SKY_LIMIT_MAG)),
             height_in=4.3,
             wide=True,
         ),
@@ -279,8 +279,9 @@ _ECLIPTIC_POLE = (270.0, 66.5607)
 _GALACTIC_POLE = (192.85948, 27.12825)  # J2000, Hipparcos catalogue vol. 1, section 1.5.3
 
 
-def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes) -> None:
-    """Boresights of all trials over the sky, Sanson–Flamsteed projection, right ascension increasing to the left."""
+def draw_sky(columns: Columns, bright: StarCatalog, ax: Axes) -> None:
+    """Boresights of all trials among the bright stars, Sanson–Flamsteed projection, right ascension increasing to the
+    left."""
 
     def plane(ra_deg: NDArray[Any], dec_deg: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         offset = np.asarray(ra_deg, dtype=float) % 360.0 - 180.0
@@ -292,7 +293,6 @@ def draw_sky(columns: Columns, catalog: StarCatalog, ax: Axes) -> None:
     for parallel in range(-60, 61, 30):
         reach = 180.0 * np.cos(np.radians(parallel))
         ax.plot([180 - reach, 180 + reach], [parallel, parallel], color=LINE, linewidth=0.5)
-    bright = catalog.brighter_than(_SKY_LIMIT_MAG)
     x, y = plane(np.degrees(bright.ra_rad), np.degrees(bright.dec_rad))
     ax.scatter(x, y, s=10 ** (0.2 * (_SKY_LIMIT_MAG - bright.v_mag)), color=SOFT, linewidths=0, alpha=0.8,
                label=f"stars, V ≤ {_SKY_LIMIT_MAG:g}")  # fmt: skip

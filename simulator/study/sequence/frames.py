@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from simulator.build import sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
-from simulator.mission.motion import MotionState, motion
-from simulator.mission.pointing import Pointing, hold, point, point_spinning
-from simulator.optics.jitter import JitterPath
+from simulator.mission.motion import MotionState, motion, on_mounting
+from simulator.mission.pointing import Pointing, deformed, hold, point, point_by, point_spinning
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -30,6 +30,7 @@ from simulator.study.trials.trial import (
     build_tracker,
     in_field,
     misidentified,
+    mounting_columns,
     normalised_error_squared,
 )
 from startracker.attitude import Attitude
@@ -94,8 +95,10 @@ class SequenceRunner:
         self._pointing = scenario.pointing
         self.start = self._start()
         plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
-        self.states = motion(self._pointing, plan, orbit, self.start, section.frames)
+        self.states = motion(self._pointing, plan, orbit, self.start, section.frames, self.renderer.scenes.law)
         self.renderer.scenes.plan([state.t_s for state in self.states])
+        self.rotations_rad = [self.renderer.scenes.mounting_rotation_rad(state.t_s) for state in self.states]
+        self.states = [on_mounting(state, turn) for state, turn in zip(self.states, self.rotations_rad, strict=True)]
         self.shaking = self._shaking()
         self.cameras = [state.camera for state in self.states]
         """True attitudes, including the mean jitter over the exposure."""
@@ -117,13 +120,13 @@ class SequenceRunner:
         self.operated: OperatedCamera | None = None
         """The camera with its rules of operation, set by `frames`; None without rules."""
 
-    def _shaking(self) -> list[JitterPath]:
+    def _shaking(self) -> list[JitterMotion]:
         """Jitter relative to each mid-exposure, one process for the whole sequence; empty without jitter."""
-        path = self.renderer.scenes.draw_jitter(stream(self.scenario.seed, "jitter", 0))
         section = self.scenario.sequence
+        path = self.renderer.scenes.sequence_jitter(stream(self.scenario.seed, "jitter", 0), section.start_s)
         return [path.shifted(k * section.step_s) for k in range(section.frames)] if path is not None else []
 
-    def _jitter(self, k: int) -> JitterPath | None:
+    def _jitter(self, k: int) -> JitterMotion | None:
         return self.shaking[k] if self.shaking else None
 
     def _start(self) -> Pointing:
@@ -132,6 +135,8 @@ class SequenceRunner:
         rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
         if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
             return point_spinning(self._pointing, start_s, rng)
+        if scenes.law is not None:
+            return point_by(self._pointing, scenes.law, start_s, rng)
         if scenario.pointing.target is None:
             return point(self._pointing, *scenes.orbit.state(start_s), rng)
         nominal = self.renderer.scene(0, at_s=start_s).pointing.prior
@@ -210,7 +215,8 @@ class SequenceRunner:
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
-            row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], _camera_error(row))
+            error_deg = np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
+            row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], error_deg)
             if self.single:
                 row |= self._alone(self.tracker.solve(image, **known), truth)
             row |= self.operated.columns(frame, solution, session) if self.operated else {}
@@ -263,7 +269,8 @@ class SequenceRunner:
         render_ms: float,
         track_ms: float,
     ) -> dict[str, Any]:
-        mounting = self.start.mounting
+        rotation_rad = self.rotations_rad[k]
+        mounting = deformed(self.start, rotation_rad).mounting
         estimate, covariance = session.filter_attitude, session.covariance
         mode = session.state.mode if solution.solved else "none" if estimate is None else "coasting"
         innovation = session.state.innovation
@@ -278,12 +285,12 @@ class SequenceRunner:
             "wrong": False,
             "beyond_specification": False,
         }
-        row |= _attitude_columns("true_", true) | _attitude_columns("", estimate)
+        row |= _attitude_columns("true_", true) | _attitude_columns("", estimate) | mounting_columns(rotation_rad)
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         sigma = np.full(6, math.nan)
         nees = math.nan
         if estimate is not None and covariance is not None:
-            errors = attitude_errors_deg(true, estimate, mounting)
+            errors = attitude_errors_deg(true, estimate, mounting, rotation_rad)
             row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
             camera = covariance[:3, :3]
             to_body = mounting.inverse.as_matrix()
@@ -357,7 +364,8 @@ class SequenceRunner:
         }
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
-            errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
+            true = truth.attitude_at_tag
+            errors = attitude_errors_deg(true, solution.attitude, truth.mounting, truth.mounting_rotation_rad)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
@@ -379,11 +387,6 @@ class SequenceRunner:
             bound_deg = attitude_bound_deg(self.renderer, truth, stars)
             bound_deg = explained_deg(self.renderer, truth, stars, bound_deg)
         return is_wrong(misidentified, nees, error_deg, bound_deg)
-
-
-def _camera_error(row: dict[str, Any]) -> FloatArray:
-    """Error about the camera's axes (3,), degrees, of a row."""
-    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
 
 
 def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:

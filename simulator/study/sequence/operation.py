@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.motion import MotionState
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from startracker.solution import Solution, Status
@@ -61,7 +61,7 @@ class OperatedCamera:
         """B − V and magnitude error of every measured star, (N, 2) per frame."""
 
     def expose(
-        self, k: int, state: MotionState, since_s: float, session: TrackingSession, jitter: JitterPath | None
+        self, k: int, state: MotionState, since_s: float, session: TrackingSession, jitter: JitterMotion | None
     ) -> tuple[Frame, FrameTruth] | None:
         """Frame and truth at the exposure set by the rules, with their verdict; None while suspended."""
         self.exposure_s = self.rules.exposure_s

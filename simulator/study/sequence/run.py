@@ -24,6 +24,7 @@ from simulator.study.sequence.statistics import summarise_sequence
 from simulator.study.specification.measured import judge_frames
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import median
+from simulator.study.trials.arrow import as_array, table_of
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
 from startracker.display import described
@@ -61,7 +62,7 @@ class Sequence(Rows):
         return {"name": self.scenario.name, "seed": self.scenario.seed, "version": __version__}
 
     def __repr__(self) -> str:
-        solved = int(np.count_nonzero(self.frames["status"].to_numpy(zero_copy_only=False) == "solved"))
+        solved = int(np.count_nonzero(as_array(self.frames["status"]) == "solved"))
         counts = f"{self.frames.num_rows} frames, {solved} solved"
         return described("Sequence", self.scenario.name, counts, str(self.folder or ""))
 
@@ -73,7 +74,7 @@ class Sequence(Rows):
     @property
     def columns(self) -> dict[str, NDArray[Any]]:
         """Columns of the frames as arrays."""
-        return {name: self.frames[name].to_numpy() for name in self.frames.column_names}
+        return {name: as_array(self.frames[name]) for name in self.frames.column_names}
 
 
 def run_sequence(
@@ -159,7 +160,7 @@ def _run(
             if animate:
                 views.append(view_of(tracked))
             if len(rows) == _FLUSH_FRAMES:
-                pieces.append(pa.Table.from_pylist(rows))
+                pieces.append(table_of(rows))
                 rows = []
             if progress:
                 progress(done, requested)
@@ -171,7 +172,7 @@ def _run(
             f"results of an earlier run of {frames_standing}"
         )
     if rows:
-        pieces.append(pa.Table.from_pylist(rows))
+        pieces.append(table_of(rows))
     elapsed_s = clock() - started
     table = pa.concat_tables(pieces)
     sequence = Sequence(scenario, table, {}, folder)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from simulator.scenario import ScenarioError
@@ -24,6 +23,7 @@ from simulator.study.intervals import plain, ratios_of_rms
 from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
 from simulator.study.statistics import AXES
 from simulator.study.sweep.files import cell
+from simulator.study.trials.arrow import as_array, read_columns
 from simulator.study.trials.columns import Columns
 from startracker.display import fields_repr
 from startracker.errors import InputError
@@ -133,7 +133,7 @@ def _load_points(folder: Path, number: int | None) -> list[ComparedRun]:
     trials = _trials(folder / "sweep.parquet", "point")
     runs = []
     for index in done if number is None else [number]:
-        mine = trials.filter(pa.array(trials["point"].to_numpy() == index))
+        mine = trials.take(np.flatnonzero(as_array(trials["point"]) == index))
         runs.append(
             ComparedRun(
                 f"{folder}:{index}",
@@ -170,7 +170,7 @@ def _ratios(first: ComparedRun, other: ComparedRun) -> dict[str, tuple[float, fl
 
 def _trials(file: Path, *more: str) -> pa.Table:
     try:
-        return pq.read_table(file, columns=[*more, *TRIAL_COLUMNS])
+        return read_columns(file, [*more, *TRIAL_COLUMNS])
     except (OSError, pa.ArrowException) as error:
         raise InputError(f"{file}: cannot be read ({str(error).splitlines()[0]})") from error
 

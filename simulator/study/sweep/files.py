@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -20,6 +19,7 @@ from simulator.scenario.output import yaml_value
 from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
 from simulator.study.result_files import parquet_bytes
 from simulator.study.specification.measured import JUDGED_COLUMNS, judge_frames
+from simulator.study.trials.arrow import as_column, read_columns
 from simulator.study.trials.checked_files import write_checked
 from simulator.study.trials.columns import Columns
 
@@ -38,12 +38,12 @@ def point_files(folder: Path) -> dict[int, Path]:
 def write_point(swept: Sequence[SweptKey], values: Sequence[Any], index: int, trials: pa.Table, kept: Path) -> None:
     """Store the trials of a point, preceded by columns of its number and values."""
     n = trials.num_rows
-    columns: dict[str, pa.Array] = {"point": pa.array(np.full(n, index, dtype=np.int32))}
+    columns: dict[str, pa.Array] = {"point": as_column([index] * n).cast(pa.int32())}
     for axis, value in zip(swept, values, strict=True):
         if axis.numeric:
-            columns[axis.path] = pa.array([value] * n, pa.int64() if axis.whole else pa.float64())
+            columns[axis.path] = as_column([value] * n).cast(pa.int64() if axis.whole else pa.float64())
         else:
-            columns[axis.path] = pa.array([str(cell(value))] * n, pa.string())
+            columns[axis.path] = as_column([str(cell(value))] * n)
     for name in trials.column_names:
         columns[name] = trials[name]
     write_checked(kept, f"{index:06d}", parquet_bytes(pa.table(columns), compression="zstd"))
@@ -86,7 +86,7 @@ def write_results(
         if refused is not None:
             point |= {"status": "refused", "reason": refused}
         elif index in files:
-            columns = Columns(pq.read_table(files[index], columns=[*TRIAL_COLUMNS, *JUDGED_COLUMNS]))
+            columns = Columns(read_columns(files[index], [*TRIAL_COLUMNS, *JUDGED_COLUMNS]))
             judged = judge_frames(scenarios[index], columns)
             point |= {"statistics": point_statistics(columns, table["seed"], judged), "verdict": judged.to_dict()}
         else:
@@ -107,7 +107,7 @@ def join(files: list[Path], target: Path) -> None:
     schema = pa.unify_schemas([pq.read_schema(file) for file in files], promote_options="permissive")
     with open_atomically(target) as stream, pq.ParquetWriter(stream, schema, compression="zstd") as writer:
         for file in files:
-            part = pq.read_table(file)
+            part = read_columns(file)
             whole = pa.concat_tables([part, schema.empty_table()], promote_options="permissive")
             writer.write_table(whole.select(schema.names).cast(schema), row_group_size=max(1, whole.num_rows))
 

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from simulator.checks import NAME_CHECKS, load_scenario
 from simulator.paths import make_folder, write_atomically
@@ -40,6 +39,7 @@ from simulator.study.results_folder import (
 from simulator.study.specification.requirements import specification_of
 from simulator.study.specification.verdicts import frames_needed
 from simulator.study.sweep.files import cell, point_files, write_point, write_results
+from simulator.study.trials.arrow import read_columns
 from simulator.study.trials.checked_files import fault_of, set_aside
 from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
 from simulator.study.trials.process_pool import WorkerPool
@@ -180,7 +180,7 @@ class Sweep(Rows):
     @property
     def trials(self) -> pa.Table:
         """All trials of all points, in memory."""
-        return pq.read_table(self.folder / "sweep.parquet")
+        return read_columns(self.folder / "sweep.parquet")
 
     def _table(self) -> pa.Table:
         return self.trials

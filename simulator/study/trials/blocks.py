@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from simulator.study.trials.arrow import table_of
 from startracker.kernels import clock
 
 FIRST_TRIALS = 10
@@ -45,7 +46,7 @@ def run_block(
         if stopped is not None and stopped():
             break
         rows.append(trial(index))
-    return Result(range(block.start, block.start + len(rows)), pa.Table.from_pylist(rows), clock() - started)
+    return Result(range(block.start, block.start + len(rows)), table_of(rows), clock() - started)
 
 
 class Blocks:

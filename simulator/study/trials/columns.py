@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from simulator.study.trials.arrow import as_array, read_columns
 from startracker.errors import BoresightError
 
 CACHE_BYTES = 4_000_000
@@ -74,34 +74,18 @@ class Columns(Mapping[str, NDArray[Any]]):
     def table(self) -> pa.Table:
         """All columns, in memory."""
         self._check()
-        return pq.read_table(self._source) if isinstance(self._source, Path) else self._source
+        return read_columns(self._source) if isinstance(self._source, Path) else self._source
 
     def _read(self, name: str) -> pa.ChunkedArray:
         if not isinstance(self._source, Path):
             return self._source[name]
         self._check()
         strings = [name] if pa.types.is_string(self._schema.field(name).type) else []
-        return pq.read_table(self._source, columns=[name], read_dictionary=strings)[name]
+        return read_columns(self._source, [name], strings)[name]
 
     def _check(self) -> None:
         if _stamp(self._source) != self._stamp:
             raise BoresightError(f"{self._source}: moved or changed since the study was loaded; load it again")
-
-
-def as_array(column: pa.ChunkedArray) -> NDArray[Any]:
-    """A column as an array; equal strings are one object."""
-    if pa.types.is_string(column.type):
-        column = column.dictionary_encode()
-    if not pa.types.is_dictionary(column.type):
-        return np.array(column.to_numpy())
-    if column.null_count:
-        return np.array(column.cast(pa.string()).to_numpy(), dtype=object)
-    column = column.unify_dictionaries()
-    parts = [
-        np.asarray(chunk.dictionary.to_numpy(zero_copy_only=False), dtype=object)[chunk.indices.to_numpy()]
-        for chunk in column.chunks
-    ]
-    return np.concatenate(parts) if parts else np.empty(0, dtype=object)
 
 
 def _memory(array: NDArray[Any]) -> int:
