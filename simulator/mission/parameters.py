@@ -254,7 +254,8 @@ class ThermoElastic:
     spacecraft does not know."""
 
     amplitude_arcsec: Vector = (0.0, 0.0, 0.0)
-    """Amplitude of the rotation about the camera's x, y, z; 0: none."""
+    """Amplitude of the rotation about the camera's x, y, z; 0: none. With `heads`, that of each head about its own
+    axes."""
     phase_deg: Vector = (0.0, 0.0, 0.0)
     """Orbit angle at which the rotation about each axis is greatest."""
     reference: Literal["noon", "node"] = "noon"

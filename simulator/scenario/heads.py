@@ -70,6 +70,9 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         values, problems = _checked(head)
         for path, message in problems:
             yield impossible(f"heads[{k}].{path}", message)
+        if values.get("tracker.in_flight_calibration.use", v["tracker.in_flight_calibration.use"]):
+            message = "calibration in flight is not available with heads; set it to false, or remove heads"
+            yield impossible(f"heads[{k}].tracker.in_flight_calibration.use", message)
         for violation in violations(alone | values):
             if violation not in common and violation.key.startswith(OVERRIDDEN):
                 yield violation._replace(key=f"heads[{k}].{violation.key}")

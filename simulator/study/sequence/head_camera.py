@@ -17,7 +17,7 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.heads import scenario_of_head
 from simulator.scenario.schema import HeadSection
-from simulator.study.sequence.columns import NO_FRAME, error_columns
+from simulator.study.sequence.attitude_columns import NO_FRAME, error_columns
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import CAMERA_AXES, WRONG_NEES, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
@@ -138,13 +138,11 @@ class HeadCamera:
 
     def columns(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
         """Columns of a frame, without the name of the head."""
-        stars, bodies = in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit)
         wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
         columns: dict[str, Any] = {
             "status": str(solution.status),
             "reason": solution.reason,
-            "stars_in_field": stars,
-            "bodies_in_field": bodies,
+            **in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit),
             "excluded": ", ".join(truth.excluded),
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
@@ -173,7 +171,8 @@ class HeadCamera:
 
     def missing(self) -> dict[str, Any]:
         """Columns of a missing frame."""
-        nothing = {"status": NO_FRAME, "reason": "no frame", "stars_in_field": 0, "bodies_in_field": 0, "excluded": ""}
+        fields = dict.fromkeys(("stars_in_field", "bodies_in_field", "satellites_in_field"), 0)
         counts = dict.fromkeys(("stars_detected", "stars_matched", "stars_misidentified"), 0)
+        said = {"status": NO_FRAME, "reason": "no frame", **fields, "excluded": ""}
         identity = Attitude(np.array([0.0, 0.0, 0.0, 1.0]))
-        return nothing | counts | error_columns(identity, None, None, self.mounting) | {"wrong": False}
+        return said | counts | error_columns(identity, None, None, self.mounting) | {"wrong": False}

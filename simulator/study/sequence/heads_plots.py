@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.html_page import Table
-from simulator.study.sequence.columns import NO_FRAME
+from simulator.study.sequence.attitude_columns import NO_FRAME
 from simulator.study.sequence.plots import draw_compared, time_axis
 from simulator.study.statistics import BODY_AXES
-from simulator.study.style import BLUE, GREEN, ORANGE, SOFT, VERMILION, Panel
+from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from simulator.study.texts import deg_text
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ __all__ = ["heads_panels", "heads_table"]
 
 Columns = dict[str, NDArray[Any]]
 
-_HEADS = ((ORANGE, "."), (GREEN, "x"), (VERMILION, "+"), (SOFT, "1"))
+_HEADS = ((ORANGE, "."), (GREEN, "x"), (INK, "+"), (VERMILION, "1"))
 """Colour and marker of each head; the fifth has those of the first."""
 
 
@@ -92,7 +92,7 @@ def _errors_drawer(columns: Columns, names: list[str], axis: str) -> Callable[[A
             own = columns[f"head_{name}_error_{axis}_deg"] * 3600.0
             shown.append(own)
             own_t = columns[f"head_{name}_elapsed_s"]
-            ax.plot(own_t, own, marker, color=colour, markersize=2.5, label=name, rasterized=many)
+            ax.plot(own_t, own, marker, color=colour, markersize=3.5, label=name, rasterized=many)
         ax.fill_between(t, -3.0 * sigma, 3.0 * sigma, color=BLUE, alpha=0.2, linewidth=0, rasterized=many)
         ax.plot(t, error, "-", color=BLUE, linewidth=1.0, label="fused", rasterized=many)
         finite = [np.abs(values[np.isfinite(values)]) for values in shown]

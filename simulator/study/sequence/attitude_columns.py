@@ -1,8 +1,9 @@
-"""Columns of an attitude and of its errors, as in ``sequence.parquet``."""
+"""Columns of an attitude and its error in ``sequence.parquet``."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.trials.trial import attitude_errors_deg
 from startracker.attitude import Attitude
 
-__all__ = ["NO_FRAME", "attitude_columns", "error_columns"]
+__all__ = ["NO_FRAME", "attitude_columns", "camera_error_deg", "error_columns"]
 
 FloatArray = NDArray[np.float64]
 
@@ -19,13 +20,19 @@ NO_FRAME = "no_frame"
 """Status of a missing frame."""
 
 
+def camera_error_deg(row: dict[str, Any]) -> FloatArray:
+    """Error about the camera's axes (3,), degrees, of a row."""
+    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
+
+
 def attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
-    """Direction and quaternion of an attitude; NaN for None."""
+    """Right ascension, declination, roll and quaternion of an attitude; NaN without one."""
     values = [math.nan] * 7
     if attitude is not None:
         values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *(float(v) for v in attitude.quat)]
-    names = ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")
-    return dict(zip((f"{prefix}{name}" for name in names), values, strict=True))
+    return dict(
+        zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
+    )
 
 
 def error_columns(
