@@ -80,4 +80,5 @@ def test_head_blinded_for_ten_minutes_returns_without_a_jump():
             sigma = max(columns[f"sigma_{axis}_deg"][k - 1], columns[f"sigma_{axis}_deg"][k])
             assert jump < 3.0 * sigma, (k, axis)
     weak = columns["sigma_about_boresight_deg"]  # of head a; head b sees it across its own boresight
-    assert weak[72:].max() < 0.7 * weak[15:69].min()
+    assert weak[71] < 0.8 * weak[69]
+    assert weak[71:].mean() < 0.7 * weak[15:70].mean()
