@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from simulator.study.html_page import TONES, Table, drawn, provenance, render_page, verdict_table
 from simulator.study.sequence.frames import MODES
+from simulator.study.sequence.heads_plots import heads_panels, heads_table
 from simulator.study.sequence.plots import MODE_TITLES, panels
 from simulator.study.statistics import AXES
 from simulator.study.texts import deg_text
@@ -35,10 +36,10 @@ def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
         The animation.
     """
     scenario, summary, columns = sequence.scenario, sequence.summary, sequence.columns
-    judged = sequence.judgement
+    judged, heads = sequence.judgement, [head.name for head in scenario.heads]
     groups = [
         (heading, [drawn(panel, f"s{i}-{k}") for k, panel in enumerate(group)])
-        for i, (heading, group) in enumerate(panels(columns).items())
+        for i, (heading, group) in enumerate((heads_panels(columns, heads) | panels(columns)).items())
     ]
     embedded = gif is not None and len(gif) <= _LARGEST_GIF_BYTES
     return render_page(
@@ -50,6 +51,7 @@ def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
         verdict=judged.text,
         requirements=verdict_table(judged),
         accuracy=_accuracy(summary),
+        heads=heads_table(summary["heads"]) if heads else None,
         modes=Table(("mode", "time"), tuple((MODE_TITLES[m], f"{summary['time_in_mode_s'][m]:g} s") for m in MODES)),
         groups=groups,
         unsolved=_unsolved(summary, columns),
