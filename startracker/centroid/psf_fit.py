@@ -173,8 +173,8 @@ def _accepted(
     """Measurements (N, 6) by fits, with a larger covariance where χ² is too large, as of `blends`; by moments where a
     fit failed, and such a star counts as apart from its group.
 
-    If the assumed star image is right (`blends`), NaN where the detection is a hot pixel, the logarithm of whose prior
-    odds, times two, is `odds_hot`; where no star can be fitted and one pixel explains the window; and where χ² makes the
+    If the assumed star image is right (`blends`), NaN where the detection is a hot pixel, twice the logarithm of whose
+    prior odds is `odds_hot`, where no star can be fitted and one pixel explains the window, and where χ² makes the
     error exceed the width of the star image, whose variances sum to `image_px2`: a pixel's residual then has more light
     than the star.
     """
