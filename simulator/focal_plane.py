@@ -36,6 +36,7 @@ from simulator.optics.psf_set import PsfSet
 from simulator.optics.splat import add_stars
 from simulator.optics.stray_light import Baffle, stray_light_e_s_pixel
 from simulator.optics.tether import Tether, TetherPoints, tether_points
+from simulator.optics.thermal import LensTemperature
 from simulator.scene import Scene
 from simulator.sky.apparent import largest_shift_rad
 from simulator.sky.background import diffuse_sky_s10
@@ -92,7 +93,9 @@ class FocalPlane:
     camera: Camera
     """The calibrated camera, as in the frame."""
     true_camera: Camera
-    """The true camera, with which the sky is rendered."""
+    """The true camera, with which the sky is rendered; `at` has that of another time."""
+    temperature: LensTemperature
+    """Temperature of the lens over time."""
     displacement: Displacement
     """Displacement of star images from the positions of the true camera."""
     photometer: Photometer
@@ -112,6 +115,13 @@ class FocalPlane:
     tether: Tether
     """Of the lens, and before it."""
     _half_fields: dict[float, float] = field(default_factory=dict, repr=False)
+
+    def at(self, t_s: float) -> FocalPlane:
+        """The focal plane at the temperature of a time, seconds after the epoch; itself if that is constant."""
+        if self.temperature.swing_k == 0.0:
+            return self
+        camera = self.temperature.camera_at(self.camera, t_s)
+        return replace(self, true_camera=camera, displacement=replace(self.displacement, camera=camera))
 
     def half_field_rad(self, exposure_s: float) -> float:
         """Maximum angle from the boresight, at any moment of the exposure, of sources whose light can reach the

@@ -65,6 +65,9 @@ class MatchedStars:
     used : bool array, optional
         Whether the star was used in the attitude fit; stars with larger residuals than noise explains (blends, nearby
         defective pixels) are identified but not used. By default all.
+    sigma_px : array, optional
+        Standard error of each centroid on one axis, pixels, as stated by the centroider and including that of the
+        catalogue; NaN if not known.
     """
 
     xy: FloatArray
@@ -74,10 +77,13 @@ class MatchedStars:
     flux: FloatArray
     residual_px: FloatArray
     used: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    sigma_px: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         if len(self.used) != len(self.catalog_id):
             object.__setattr__(self, "used", np.ones(len(self.catalog_id), np.bool_))
+        if len(self.sigma_px) != len(self.catalog_id):
+            object.__setattr__(self, "sigma_px", np.full(len(self.catalog_id), np.nan))
 
     def __len__(self) -> int:
         return len(self.catalog_id)

@@ -350,6 +350,10 @@ class StarTracker:
         clock: Clock,
     ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
+        sigma_px = np.empty(0)
+        if measured.variance_px2 is not None:
+            floor_px = guide.catalog.position_sigma_rad / self.camera.pixel_rad
+            sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
         stars = MatchedStars(
             measured.xy[used],
             guide.catalog.id[chosen],
@@ -358,6 +362,7 @@ class StarTracker:
             np.full(len(used), np.nan) if measured.flux is None else measured.flux[used],
             refined.residual_px,
             refined.used,
+            sigma_px,
         )
         clock.lap("attitude")
         return Solution(

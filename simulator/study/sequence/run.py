@@ -209,6 +209,8 @@ def _run(
     )
     if runner.operated is not None:
         sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
+    if runner.calibrated is not None:
+        sequence.summary["in_flight_calibration"] = runner.calibrated.summarise(columns)
     if folder is None:
         return sequence
     return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views, others))
