@@ -32,13 +32,14 @@ from simulator.optics.jitter import load_spectrum
 from simulator.optics.lens import Lens
 from simulator.optics.psf_set import PsfSet
 from simulator.optics.stray_light import build_baffle
-from simulator.optics.thermal import true_camera
+from simulator.optics.thermal import LensTemperature
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
 from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
+from simulator.sky.satellites import load_satellites
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 
@@ -53,6 +54,7 @@ __all__ = [
     "build_scenes",
     "build_transients",
     "detector_parameters",
+    "lens_temperature",
     "orbit_radiation_of",
     "sequence_motion",
     "shutter_of",
@@ -103,10 +105,12 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         detector.charge_diffusion_um,
         detector.intra_pixel.contrast,
     )
-    seen_by = _true_camera(scenario, camera)
+    temperature = lens_temperature(scenario)
+    seen_by = temperature.camera_at(camera, 0.0)
     return FocalPlane(
         camera=camera,
         true_camera=seen_by,
+        temperature=temperature,
         displacement=_displacement(scenario, seen_by, photometer),
         photometer=photometer,
         psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
@@ -135,11 +139,16 @@ def _faint_sky(scenario: Scenario) -> FaintSky | None:
     return FaintSky(scenario.seed, sky.magnitude_limit, sky.faint_magnitude_limit)
 
 
-def _true_camera(scenario: Scenario, calibrated: Camera) -> Camera:
-    """The camera at the temperature of its lens."""
+def lens_temperature(scenario: Scenario) -> LensTemperature:
+    """Temperature of the lens over time, and its effect on the camera."""
     thermal, pitch_um = scenario.optics.thermal, scenario.detector.pitch_um
-    moved = (thermal.decentring_um_k[0] / pitch_um[0], thermal.decentring_um_k[1] / pitch_um[1])
-    return true_camera(calibrated, thermal.expansion_ppm_k, thermal.temperature_c - thermal.reference_c, moved)
+    return LensTemperature(
+        expansion_ppm_k=thermal.expansion_ppm_k,
+        decentring_px_k=(thermal.decentring_um_k[0] / pitch_um[0], thermal.decentring_um_k[1] / pitch_um[1]),
+        warmer_k=thermal.temperature_c - thermal.reference_c,
+        swing_k=thermal.swing_k,
+        period_s=thermal.swing_period_s,
+    )
 
 
 def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer) -> Displacement:
@@ -176,7 +185,9 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
         series=read_jitter(scenario.pointing.jitter, orbit.clock, scenario.base_dir),
         exposure_margin_s=margin_lines * detector.line_time_us * 1e-6,
     )
-    return SceneBuilder(parameters, orbit, build_attitude_law(scenario.pointing, orbit, scenario.base_dir))
+    law = build_attitude_law(scenario.pointing, orbit, scenario.base_dir)
+    satellites = load_satellites(scenario.sky.satellites, orbit.clock, scenario.base_dir)
+    return SceneBuilder(parameters, orbit, law, satellites)
 
 
 def build_orbit(scenario: Scenario) -> Trajectory:

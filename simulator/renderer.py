@@ -100,7 +100,7 @@ class Renderer:
     def expose(self, scene: Scene, exposure_s: float | None = None) -> Illumination:
         """Mean photo-electrons of a scene, before the detector."""
         exposure = Exposure.about(scene.t_s, exposure_s or self.exposure_s, self.shutter)
-        return self.focal_plane.expose(scene, exposure)
+        return self.focal_plane.at(scene.t_s).expose(scene, exposure)
 
     def frame(
         self,

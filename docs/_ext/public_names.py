@@ -35,6 +35,7 @@ GROUPS = {
     ],
     "Tracking": [
         "startracker.TrackingSession",
+        "startracker.CalibratedSession",
         "startracker.TrackingState",
         "startracker.Mekf",
         "startracker.RateNoise",
@@ -44,6 +45,12 @@ GROUPS = {
         "startracker.calibrate",
         "startracker.Calibration",
         "startracker.StarField",
+        "startracker.InFlightCalibration",
+        "startracker.calibration.IdentifiedStars",
+        "startracker.calibration.LensFilter",
+        "startracker.calibration.LensUpdate",
+        "startracker.calibration.WidthFilter",
+        "startracker.detection.defect_map.DefectMap",
         "startracker.detection.find_bad_pixels",
         "startracker.detection.mask_pixels",
         "startracker.centroid.effective_psf.build_effective_psf",
@@ -58,6 +65,7 @@ GROUPS = {
         "startracker.PyramidSettings",
         "startracker.TriadSettings",
         "startracker.TrackingSettings",
+        "startracker.InFlightSettings",
     ],
     "Integers": [
         "startracker.identification.integer_solution.IntegerCamera",

@@ -39,9 +39,15 @@ from simulator.scenario.schema_camera import DetectorSection, OpticsSection
 from simulator.scenario.schema_sequence import SequenceSection
 from simulator.scenario.schema_specification import SpecificationSection
 from simulator.sky.catalogue_errors import CatalogueErrors
-from simulator.sky.parameters import Sky
+from simulator.sky.parameters import SatelliteParameters, SatelliteSize, Sky
 from simulator.sky.star_counts import FAINTEST_V
-from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
+from startracker.settings import (
+    AnyIdentificationSettings,
+    CentroidSettings,
+    DetectionSettings,
+    InFlightSettings,
+    OperationSettings,
+)
 
 __all__ = ["LIMITS", "DetectorSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
 
@@ -76,6 +82,8 @@ class TrackerSection(Section):
     """Settings of the identification; settings that the `identifier` does not use are reported as errors."""
     catalogue_errors: CatalogueErrors = CatalogueErrors()
     """Errors of the tracker's catalogue against the sky."""
+    in_flight_calibration: InFlightSettings = InFlightSettings()
+    """Calibration in flight, in sequences."""
 
 
 class StudySection(Section):
@@ -176,6 +184,17 @@ LIMITS: dict[type, dict[str, Any]] = {
         "background_model": Literal["constant", "leinert1998"],
         "earth_albedo": Fraction,
     },
+    SatelliteSize: {
+        "diameter_m": Positive | None,
+        "albedo": Fraction | None,
+        "standard_magnitude": FiniteFloat | None,
+    },
+    SatelliteParameters: {
+        "diameter_m": Positive,
+        "albedo": Fraction,
+        "standard_magnitude": FiniteFloat | None,
+        "max_age_days": Positive,
+    },
     Tether: {"diameter_mm": NonNegative, "albedo": Fraction},
     FieldAberrations: {
         "rings": Annotated[int, Field(ge=1, le=32)],
@@ -236,6 +255,18 @@ LIMITS: dict[type, dict[str, Any]] = {
         "max_centroids": Annotated[int, Field(ge=3)],
         "max_operations": Count,
         "max_operations_free_scale": Count,
+    },
+    InFlightSettings: {
+        **dict.fromkeys(("focal_length_ppm", "principal_point_px", "distortion_px", "psf_width_px"), Positive),
+        **dict.fromkeys(("focal_length_drift_ppm_sqrt_h", "principal_point_drift_px_sqrt_h"), NonNegative),
+        **dict.fromkeys(
+            ("distortion_drift_px_sqrt_h", "psf_width_drift_px_sqrt_h", "star_error_px", "shift_px"), NonNegative
+        ),
+        "false_rejection": Annotated[FiniteFloat, Field(gt=0, lt=1)],
+        "defect_frames": Annotated[int, Field(ge=0)],
+        "defect_share": Annotated[FiniteFloat, Field(gt=0, le=1)],
+        "defect_sigma": Positive,
+        "defect_shift_px": Positive,
     },
     OperationSettings: {
         "saturated_pixels": Annotated[int, Field(ge=0)],

@@ -20,6 +20,8 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.study.sequence.attitude_columns import attitude_columns, camera_error_deg
+from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
@@ -119,6 +121,8 @@ class SequenceRunner:
         self.noise = self._noise()
         self.operated: OperatedCamera | None = None
         """The camera with its rules of operation, set by `frames`; None without rules."""
+        self.calibrated: CalibratedCamera | None = None
+        """The camera with its calibration in flight, set by `frames`; None without."""
 
     def _shaking(self) -> list[JitterMotion]:
         """Jitter relative to each mid-exposure, one process for the whole sequence; empty without jitter."""
@@ -179,7 +183,7 @@ class SequenceRunner:
     def frames(self) -> Iterator[TrackedFrame]:
         """All frames in order; reproducible."""
         scenario, section = self.scenario, self.scenario.sequence
-        session = TrackingSession(self.tracker, self.noise, exposure_s=self.renderer.exposure_s)
+        session = self._session()
         if scenario.tracker.prior:  # uniform within the half width about each axis
             half_width_deg = max(scenario.pointing.error_deg, LEAST_PRIOR_DEG)
             session.reset(self.start.prior, half_width_deg / math.sqrt(3.0))
@@ -205,24 +209,27 @@ class SequenceRunner:
             image: NDArray[Any] = frame.image
             if self.operated is not None and self.operated.verdict.image is not None:
                 image = self.operated.verdict.image
-            known: dict[str, Any] = {
-                "observer": frame.observer,
-                "saturation_dn": frame.saturation_dn,
-                "gain_e_per_dn": frame.gain_e_per_dn,
-            }
+            known: dict[str, Any] = {n: getattr(frame, n) for n in ("observer", "saturation_dn", "gain_e_per_dn")}
             solution = session.update(image, since_s + truth.time_tag_error_s, gyro_rad_s=gyro, **known)
             tracked = clock()
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
-            error_deg = np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
-            row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], error_deg)
+            misnamed, error_deg = row["stars_misidentified"], camera_error_deg(row)
+            row["wrong"] = self._is_wrong(truth, solution, misnamed, row["nees"], error_deg)
             if self.single:
                 row |= self._alone(self.tracker.solve(image, **known), truth)
             row |= self.operated.columns(frame, solution, session) if self.operated else {}
             windows = session.state.window_xy
             half = session.state.window_half_px
             yield TrackedFrame(row, frame, solution, np.empty((0, 2)) if windows is None else windows, half)
+
+    def _session(self) -> TrackingSession:
+        """A new session, with calibration in flight if the scenario has it."""
+        if not self.scenario.tracker.in_flight_calibration.use:
+            return TrackingSession(self.tracker, self.noise, exposure_s=self.renderer.exposure_s)
+        self.calibrated = CalibratedCamera(self.scenario, self.renderer, self.tracker)
+        return self.calibrated.session(self.noise)
 
     def _take(
         self, k: int, state: MotionState, since_s: float, session: TrackingSession
@@ -285,7 +292,7 @@ class SequenceRunner:
             "wrong": False,
             "beyond_specification": False,
         }
-        row |= _attitude_columns("true_", true) | _attitude_columns("", estimate) | mounting_columns(rotation_rad)
+        row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         sigma = np.full(6, math.nan)
         nees = math.nan
@@ -310,6 +317,7 @@ class SequenceRunner:
             "stars_expected": session.state.expected,
             "stars_in_field": 0,
             "bodies_in_field": 0,
+            "satellites_in_field": 0,
             "excluded": "",
             "stars_detected": len(solution.centroids),
             "stars_matched": session.state.matched,
@@ -317,6 +325,8 @@ class SequenceRunner:
             "render_ms": render_ms,
             "track_ms": track_ms,
         }
+        if self.calibrated is not None:
+            row |= self.calibrated.columns(state.t_s, tracked=solution.solved)
         return row
 
     def _rates(self, k: int, session: TrackingSession) -> dict[str, float]:
@@ -345,10 +355,8 @@ class SequenceRunner:
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:
-        stars, bodies = in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit)
         return {
-            "stars_in_field": stars,
-            "bodies_in_field": bodies,
+            **in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit),
             "excluded": ", ".join(truth.excluded),
             "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
         }
@@ -387,12 +395,3 @@ class SequenceRunner:
             bound_deg = attitude_bound_deg(self.renderer, truth, stars)
             bound_deg = explained_deg(self.renderer, truth, stars, bound_deg)
         return is_wrong(misidentified, nees, error_deg, bound_deg)
-
-
-def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
-    values = [math.nan] * 7
-    if attitude is not None:
-        values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *(float(v) for v in attitude.quat)]
-    return dict(
-        zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
-    )

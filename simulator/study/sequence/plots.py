@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from simulator.study.sequence.calibration_plots import calibration_panels
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.operation_plots import operation_panels
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
@@ -69,6 +70,8 @@ def panels(columns: Columns) -> dict[str, list[Panel]]:
     }
     if "rule" in columns:
         groups["Rules of operation"] = operation_panels(columns)
+    if "lens_updated" in columns:
+        groups["Calibration in flight"] = calibration_panels(columns)
     if "true_bias_x_deg_h" in columns:
         groups["Gyro"] = [
             Panel(f"Bias about the camera's {axis}", "", _compared(f"bias_{axis}_deg_h", "bias [°/h]", columns))
