@@ -39,6 +39,7 @@ from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
 from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
+from simulator.sky.satellites import load_satellites
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 
@@ -184,7 +185,9 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
         series=read_jitter(scenario.pointing.jitter, orbit.clock, scenario.base_dir),
         exposure_margin_s=margin_lines * detector.line_time_us * 1e-6,
     )
-    return SceneBuilder(parameters, orbit, build_attitude_law(scenario.pointing, orbit, scenario.base_dir))
+    law = build_attitude_law(scenario.pointing, orbit, scenario.base_dir)
+    satellites = load_satellites(scenario.sky.satellites, orbit.clock, scenario.base_dir)
+    return SceneBuilder(parameters, orbit, law, satellites)
 
 
 def build_orbit(scenario: Scenario) -> Trajectory:

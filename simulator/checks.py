@@ -104,6 +104,22 @@ def _orbit_file(key: str, section: str = "orbit") -> NameCheck:
     return check
 
 
+def _satellite_file(name: Any, keys: Mapping[str, Any]) -> str | None:
+    """Check of ``sky.satellites.file``, with the objects that have a size of their own."""
+    from simulator.mission.clock import Clock
+    from simulator.sky.parameters import SatelliteParameters
+    from simulator.sky.satellites import load_satellites
+
+    if not isinstance(name, str) or "epoch" not in keys:
+        return None
+    try:
+        given = SatelliteParameters(file=name, objects=keys.get("sky.satellites.objects", ()))
+        load_satellites(given, Clock(keys["epoch"]), Path())  # the loader has made file names absolute
+    except InputError as error:
+        return str(error)
+    return None
+
+
 def _attitude_file(key: str) -> NameCheck:
     """Check of a file of ``pointing.attitude``, together with the keys that say how it is used."""
 
@@ -150,6 +166,7 @@ NAME_CHECKS: NameChecks = {
     "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
     "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
+    "sky.satellites.file": _satellite_file,
     "sky.spectrum": _registered("spectra", "simulator.sky.spectra", "SPECTRA"),
     "optics.transmission": _curve("transmission"),
     "optics.psf.model": _registered("psfs", "simulator.optics.psf", "PSFS"),

@@ -78,11 +78,11 @@ class TrueSources:
     """Stars and bodies in or near the field, as columns of equal length N."""
 
     id: NDArray[np.int64]
-    """Catalogue number; 0 for bodies of the solar system."""
+    """Catalogue number of a star or a satellite; 0 for bodies of the solar system."""
     name: NDArray[np.str_]
-    """Star or body."""
+    """Star, body or satellite."""
     kind: NDArray[np.str_]
-    """``star``, ``planet``, ``moon`` or ``sun``."""
+    """``star``, ``planet``, ``moon``, ``sun`` or ``satellite``."""
     xy: FloatArray
     """(N, 2): Pixel at mid-exposure for the true attitude."""
     image_xy: FloatArray
@@ -110,6 +110,10 @@ class TrueSources:
     def is_star(self) -> NDArray[np.bool_]:
         """Mask (N,) of stars."""
         return np.asarray(self.kind == "star")
+
+    def joined(self, other: TrueSources) -> TrueSources:
+        """These sources followed by others."""
+        return TrueSources(*(np.concatenate([getattr(s, c.name) for s in (self, other)]) for c in fields(self)))
 
     def select(self, rows: NDArray[np.int64]) -> TrueSources:
         """Selection of sources by index array."""

@@ -29,7 +29,7 @@ from simulator.mission.pointing import (
 )
 from simulator.mission.sampling import trial_time_s
 from simulator.mission.thermo_elastic import angle_from_noon_rad, mounting_rotation_rad
-from simulator.mission.trajectory import Trajectory
+from simulator.mission.trajectory import Trajectory, geocentric
 from simulator.optics.jitter import Spectrum, camera_axes, draw_jitter
 from simulator.optics.jitter_series import JitterMotion, JitterSeries, SampledJitter
 from simulator.randomness import Streams
@@ -37,11 +37,13 @@ from simulator.sky.apparent import SkyIndex, by_declination, largest_shift_rad
 from simulator.sky.colours import spectral_coordinates
 from simulator.sky.instants import Instant, Instants
 from simulator.sky.parameters import Sky
+from simulator.sky.satellites import Look, SatelliteList, Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.observer import Observer
@@ -86,6 +88,8 @@ class Scene:
     """(N,): Colour and class of their spectra (`simulator.sky.colours`)."""
     bodies: Bodies
     """Sun, Moon and planets, also outside the field."""
+    satellites: Satellites | None = None
+    """Sunlit satellites in and around the field; None if the sky has none."""
 
     __repr__ = fields_repr
 
@@ -137,6 +141,8 @@ class SceneBuilder:
         Trajectory of the spacecraft.
     law : AttitudeLaw, optional
         Attitude law of the body (`simulator.mission.attitudes`).
+    satellites : SatelliteList, optional
+        Other satellites.
 
     Raises
     ------
@@ -144,10 +150,17 @@ class SceneBuilder:
         For a target that is not in the sky.
     """
 
-    def __init__(self, parameters: SceneParameters, orbit: Trajectory, law: AttitudeLaw | None = None) -> None:
+    def __init__(
+        self,
+        parameters: SceneParameters,
+        orbit: Trajectory,
+        law: AttitudeLaw | None = None,
+        satellites: SatelliteList | None = None,
+    ) -> None:
         self.parameters = parameters
         self.orbit = orbit
         self.law = law
+        self.satellites = satellites
         self.span_s = common_span_s(orbit.span_s, *([law.span_s] if law else []))
         """First and last time of trajectory and attitudes, seconds after the epoch."""
         self.clock: Clock = orbit.clock
@@ -237,7 +250,29 @@ class SceneBuilder:
             star_b_v=self._b_v[rows],
             star_giant=self._giant[rows],
             bodies=now.bodies,
+            satellites=self._satellites(now, boresight, reach_rad, exposure_s),
         )
+
+    def _satellites(
+        self, now: Instant, boresight: FloatArray, reach_rad: float, exposure_s: float
+    ) -> Satellites | None:
+        """Satellites in and around the field; None if the sky has none."""
+        if self.satellites is None:
+            return None
+        observer = now.observer
+        assert observer.velocity_km_s is not None
+        assert observer.position_au is not None
+        look = Look(
+            now.t_s,
+            exposure_s + self.parameters.exposure_margin_s,
+            lambda t_s: geocentric(self.orbit, t_s),
+            self.orbit.span_s,
+            observer.velocity_km_s - now.v_km_s,
+            (now.sun_au - observer.position_au) * AU_KM + now.r_km,
+            boresight,
+            reach_rad,
+        )
+        return self.satellites.near(look, self.parameters.sky)
 
     def _pointing(self, now: Instant, rng: np.random.Generator, given: GivenState) -> Pointing:
         """True attitude and rate, without jitter."""

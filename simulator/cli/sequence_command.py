@@ -38,6 +38,7 @@ def run_sequence_command(request: RunRequest) -> int:
             single=request.single,
             animate=request.animate,
             ccsds=request.ccsds,
+            spice=request.spice,
             force=request.force,
             progress=progress,
         )

@@ -129,7 +129,7 @@ def numbers(texts: Iterable[str], position: str) -> list[float]:
         try:
             found.append(float(text))
         except ValueError:
-            raise InputError(f"{position}: '{text}' is not a number") from None
+            raise InputError(f"{position}: '{' '.join(text.split())}' is not a number") from None
         if not math.isfinite(found[-1]):
             raise InputError(f"{position}: '{text}' is not a finite number")
     return found

@@ -19,6 +19,7 @@ ALWAYS_FILES = (
     *(f"pointing.track.spacecraft.{key}" for key in FILES),
     "pointing.jitter.series",
     *(f"pointing.attitude.{key}" for key in (*ATTITUDE_FILES, "sclk")),
+    "sky.satellites.file",
 )
 """Keys that name a file, relative to the scenario file, or for ``--set`` to the working folder."""
 FILE_KEYS = (

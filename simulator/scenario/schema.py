@@ -39,7 +39,7 @@ from simulator.scenario.schema_camera import DetectorSection, OpticsSection
 from simulator.scenario.schema_sequence import SequenceSection
 from simulator.scenario.schema_specification import SpecificationSection
 from simulator.sky.catalogue_errors import CatalogueErrors
-from simulator.sky.parameters import Sky
+from simulator.sky.parameters import SatelliteParameters, SatelliteSize, Sky
 from simulator.sky.star_counts import FAINTEST_V
 from startracker.settings import (
     AnyIdentificationSettings,
@@ -183,6 +183,17 @@ LIMITS: dict[type, dict[str, Any]] = {
         "background_s10": NonNegative,
         "background_model": Literal["constant", "leinert1998"],
         "earth_albedo": Fraction,
+    },
+    SatelliteSize: {
+        "diameter_m": Positive | None,
+        "albedo": Fraction | None,
+        "standard_magnitude": FiniteFloat | None,
+    },
+    SatelliteParameters: {
+        "diameter_m": Positive,
+        "albedo": Fraction,
+        "standard_magnitude": FiniteFloat | None,
+        "max_age_days": Positive,
     },
     Tether: {"diameter_mm": NonNegative, "albedo": Fraction},
     FieldAberrations: {

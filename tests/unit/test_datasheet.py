@@ -161,9 +161,10 @@ def test_values_in_json_have_intervals() -> None:
         (Estimate(0.1234, 0.1, 0.2), "arcsec", False, "0.123″ (0.100–0.200)"),
         (Estimate(1234.0, None, None), "s", False, "1234 s"),
         (Estimate(1.0, 0.97, 1.0), "", True, "100 % (97–100)"),
-        (Estimate(5.0, 4.0, None), "deg/s", False, "5.00°/s (≥ 4.00)"),
+        (Estimate(5.0, 4.0, None), "deg/s", False, "5.00°/s (≥\xa04.00)"),
         (Estimate(0.0, 0.0, 0.0), "arcsec", False, "0″ (exact)"),
-        (Estimate(0.00415, -0.00767, 0.0112), "arcsec", False, "0.0042″ (−0.0077 to 0.0112)"),
+        (Estimate(0.00415, -0.00767, 0.0112), "arcsec", False, "0.0042″ (−0.0077\xa0to\xa00.0112)"),
+        (Estimate(4.5e-5, 2.4e-6, 7.4e-5), "arcsec", False, "0.0450 mas (0.0024–0.0740)"),
         (Estimate(None), "s", False, "not determined"),
     ],
 )

@@ -25,7 +25,7 @@ from simulator.study.datasheet.scan import PASSES, SAME_PIXELS, ScanGeometry, sc
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.specification.measured import JUDGED_COLUMNS
 from simulator.study.statistics import AXES, CAMERA_AXES
-from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from simulator.study.trials.bounds import attitude_bound_deg, matched_sources, star_information
 from simulator.study.trials.trial import (
     TrialRunner,
     attitude_errors_deg,
@@ -178,8 +178,9 @@ class DatasheetFrames:
     def with_false_stars(self, first: int, count: int, number: int) -> Columns:
         """The identified star images of trials, joined by `number` false ones.
 
-        The false ones are at random positions, with the fluxes of random true ones; the list is then solved as in the
-        trial. ``right`` (count,), and ``error_<axis>_deg`` of the camera's axes.
+        The false ones are at random positions, with the fluxes of random true ones and their uncertainties, which are
+        the bounds of each image; the list is then solved as in the trial. ``right`` (count,), and
+        ``error_<axis>_deg`` of the camera's axes.
         """
         error_deg = np.full((count, 3), np.nan)
         tracker, scenario = self.runner.tracker, self.runner.scenario
@@ -187,17 +188,30 @@ class DatasheetFrames:
             frame, truth = self.renderer.frame(first + k)
             seen = tracker.solve(frame.image, saturation_dn=frame.saturation_dn, gain_e_per_dn=frame.gain_e_per_dn)
             stars, rng = seen.stars, stream(scenario.seed, "false stars", first + k)
-            if seen.attitude is None:
+            rows = matched_sources(truth, stars.xy)
+            if seen.attitude is None or not len(rows):
                 continue
             size = (frame.image.shape[1], frame.image.shape[0])
             xy = np.concatenate([stars.xy, rng.uniform(-0.5, np.array(size) - 0.5, (number, 2))])
-            flux = np.concatenate([stars.flux, rng.choice(stars.flux, number)])
+            as_bright = np.concatenate([np.arange(len(stars)), rng.integers(len(stars), size=number)])
             solution = tracker.solve_centroids(
-                xy, flux, prior=frame.prior, prior_deg=frame.prior_deg, observer=frame.observer
+                xy,
+                stars.flux[as_bright],
+                sigma_px=self._bounds_px(truth, rows, stars.xy)[as_bright],
+                prior=frame.prior,
+                prior_deg=frame.prior_deg,
+                observer=frame.observer,
             )
             error_deg[k], _, _ = self._judged(solution, truth)
         named = {f"error_{axis}_deg": error_deg[:, i] for i, axis in enumerate(CAMERA_AXES)}
         return named | {"right": np.isfinite(error_deg).all(axis=1)}
+
+    def _bounds_px(self, truth: FrameTruth, rows: NDArray[np.int64], xy: FloatArray) -> FloatArray:
+        """Bounds (N,) of the images at positions (N, 2), each that of the nearest of the sources in `rows`."""
+        # of an image without information, as a saturated one, at most a hundred pixels
+        covariance = np.linalg.inv(star_information(self.renderer, truth, rows) + 1e-4 * np.eye(2))
+        apart = np.linalg.norm(truth.sources.image_xy[rows][None] - xy[:, None], axis=2)
+        return np.asarray(np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))[np.argmin(apart, axis=1)])
 
     def model_residuals(self, first: int, count: int) -> Columns:
         """Attitude error of trials with perfect star images, ``error_deg`` (count, 3), camera axes.

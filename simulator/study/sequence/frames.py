@@ -317,6 +317,7 @@ class SequenceRunner:
             "stars_expected": session.state.expected,
             "stars_in_field": 0,
             "bodies_in_field": 0,
+            "satellites_in_field": 0,
             "excluded": "",
             "stars_detected": len(solution.centroids),
             "stars_matched": session.state.matched,
@@ -354,10 +355,8 @@ class SequenceRunner:
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:
-        stars, bodies = in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit)
         return {
-            "stars_in_field": stars,
-            "bodies_in_field": bodies,
+            **in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit),
             "excluded": ", ".join(truth.excluded),
             "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
         }

@@ -103,11 +103,15 @@ def misidentified(truth: FrameTruth, solution: Solution) -> int:
     return len(stars.xy) - len(set(known.tolist()))
 
 
-def in_field(camera: Camera, sources: TrueSources, limit: float) -> tuple[int, int]:
-    """Numbers of stars down to a magnitude, and of bodies, in the image."""
+def in_field(camera: Camera, sources: TrueSources, limit: float) -> dict[str, int]:
+    """Columns of the numbers of stars down to a magnitude, of bodies and of satellites in the image."""
     inside = camera.contains(sources.xy)
-    star = inside & sources.is_star
-    return int((star & (sources.v_mag <= limit)).sum()), int(inside.sum() - star.sum())
+    star, satellite = inside & sources.is_star, inside & (sources.kind == "satellite")
+    return {
+        "stars_in_field": int((star & (sources.v_mag <= limit)).sum()),
+        "bodies_in_field": int(inside.sum() - star.sum() - satellite.sum()),
+        "satellites_in_field": int(satellite.sum()),
+    }
 
 
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
@@ -199,11 +203,9 @@ class TrialRunner:
         explained = explained_deg(self.renderer, truth, matched, bound_deg)
         row["wrong"] = is_wrong(wrong_stars, row["nees"], error_deg, explained)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
-        stars, bodies = in_field(frame.camera, sources, scenario.tracker.magnitude_limit)
         residuals = fitted.residual_px.ravel()
+        row |= in_field(frame.camera, sources, scenario.tracker.magnitude_limit)
         row |= {
-            "stars_in_field": stars,
-            "bodies_in_field": bodies,
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
             "stars_used": len(fitted),
