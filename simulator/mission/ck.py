@@ -133,6 +133,7 @@ def _loaded(kernels: tuple[str, ...]) -> Iterator[Any]:
     """SpiceyPy with kernels loaded; its errors in one line."""
     try:
         import spiceypy
+        from spiceypy.utils.exceptions import NotFoundError, SpiceyError
     except ImportError as error:
         raise InputError("CK kernels need the package spiceypy: pip install 'boresight[spice]'") from error
     mine = [name for name in _DELTET if not spiceypy.expool(name)]
@@ -142,11 +143,11 @@ def _loaded(kernels: tuple[str, ...]) -> Iterator[Any]:
         for name in mine:
             spiceypy.pdpool(name, _DELTET[name])
         yield spiceypy
-    except spiceypy.exceptions.NotFoundError as error:
+    except NotFoundError as error:
         raise InputError(
             f"{kernels[0]}: no attitude relative to J2000 where the kernel covers it; are the frames between known?"
         ) from error
-    except spiceypy.SpiceyError as error:
+    except SpiceyError as error:
         reason = " ".join(str(getattr(error, "long", "") or error).split())
         raise InputError(f"{kernels[0]}: cannot be used with {Path(kernels[1]).name}: {reason}") from error
     finally:

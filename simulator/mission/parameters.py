@@ -132,7 +132,7 @@ class Spin:
     inertially fixed angular momentum."""
 
     rate_deg_s: float = 0.0
-    """Angular velocity about body +Z; 0: no spin, the body holds the local level or `pointing.target`."""
+    """Angular velocity about body +Z; 0: no spin."""
     axis_deg: tuple[float, float] = (0.0, 90.0)
     """Right ascension and declination of the angular momentum (ICRS)."""
     phase_deg: float = 0.0
@@ -265,7 +265,8 @@ class ThermoElastic:
 
 @dataclass(frozen=True)
 class PointingParameters:
-    """Mounting of the camera, and attitude of the body relative to the local level."""
+    """Mounting of the camera, and attitude of the body: relative to the local level, or by one of `target`, `spin`,
+    `attitude`, `track` and `waypoints`."""
 
     mounting: str | tuple[float, float, float, float] = "orbit_normal"
     """Name of a mounting, or the quaternion (x, y, z, w) from body to camera."""
@@ -278,12 +279,13 @@ class PointingParameters:
     target_roll_deg: float = 0.0
     """Roll of the camera on a named target."""
     offset_deg: Vector = (0.0, 0.0, 0.0)
-    """Fixed attitude offset of the body from the local level: roll, pitch, yaw (rotation vector)."""
+    """Fixed attitude offset of the body from the local level, or from what replaces it: roll, pitch, yaw (rotation
+    vector)."""
     error_deg: float = 1.0
     """Half width of the uniformly distributed random attitude offset per trial and axis: the uncertainty of the other
     sensors."""
     rate_deg_s: Vector = (0.0, 0.0, 0.0)
-    """Body rate about X, Y, Z in addition to the rotation of the local-level frame."""
+    """Body rate about X, Y, Z in addition to the rotation of the local-level frame, or of what replaces it."""
     spin: Spin = Spin()
     """Free spin instead of the local level; off if its rate is 0."""
     attitude: AttitudeSource = AttitudeSource()

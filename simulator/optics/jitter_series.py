@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 from simulator.optics.jitter import Jitter, JitterPath, camera_axes
 from startracker.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 __all__ = ["JitterMotion", "JitterSeries", "SampledJitter"]
 
@@ -33,6 +36,8 @@ class JitterSeries:
     @cached_property
     def spline(self) -> CubicSpline:
         """The angles as a function of time."""
+        from scipy.interpolate import CubicSpline  # 0.3 s, which runs without a series need not take
+
         return CubicSpline(self.t_s, self.angles_rad)
 
     @cached_property

@@ -76,8 +76,9 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         for violation in violations(alone | values):
             if violation not in common and violation.key.startswith(OVERRIDDEN):
                 yield violation._replace(key=f"heads[{k}].{violation.key}")
-    if v["sequence.operation.use"]:
-        yield impossible("sequence.operation.use", "is not available with heads; set it to false, or remove heads")
+    for key in ("sequence.operation.use", "tracker.in_flight_calibration.use"):
+        if v[key]:
+            yield impossible(key, "is not available with heads; set it to false, or remove heads")
 
 
 def _checked(head: HeadSection) -> tuple[dict[str, Any], list[tuple[str, str]]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from simulator.mission.clock import Clock
-from simulator.mission.parameters import ATTITUDE_FILES, Waypoints
+from simulator.mission.parameters import ATTITUDE_FILES, FILES, Waypoints
 from simulator.mission.slews import build_slews
 from simulator.scenario.errors import Violation, impossible
 from startracker.errors import InputError
@@ -18,6 +18,15 @@ from startracker.errors import InputError
 def attitude_files(v: Mapping[str, Any]) -> list[str]:
     """Keys of the files that define the attitude."""
     return [f"pointing.attitude.{key}" for key in ATTITUDE_FILES if v[f"pointing.attitude.{key}"] is not None]
+
+
+def attitude_ends(v: Mapping[str, Any]) -> bool:
+    """Whether the attitude is defined over a limited span: by a file, a spline, or a spacecraft on an orbit from a
+    file."""
+    spline = bool(v["pointing.waypoints.points"]) and v["pointing.waypoints.profile"] == "spline"
+    followed = v["pointing.track.target"] == "spacecraft"
+    other = followed and any(v[f"pointing.track.spacecraft.{key}"] is not None for key in FILES)
+    return bool(attitude_files(v)) or spline or other
 
 
 def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:

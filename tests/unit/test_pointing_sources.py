@@ -230,3 +230,8 @@ def test_laws_of_scenarios(tmp_path):
     ):
         with pytest.raises(ScenarioError, match=message):
             load_scenario(files[name], [override])
+    spline = ["pointing.waypoints.profile=spline", "study.sampling=span"]
+    assert all(0.0 <= Renderer(load_scenario(files["w"], spline)).scene(k).t_s <= 60.0 for k in range(3))
+    for name in ("w", "g"):
+        with pytest.raises(ScenarioError, match=r"study.sampling: span is for orbits and attitudes that end"):
+            load_scenario(files[name], ["study.sampling=span"])

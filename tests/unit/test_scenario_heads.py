@@ -102,5 +102,6 @@ def test_mistakes_of_values_set_in_python(tmp_path):
     scenario = Scenario.load(write(tmp_path, SECOND))
     with pytest.raises(ValueError, match=r"heads\[0\].optics.aperture: unknown key"):
         scenario.changed({"heads": [{"name": "a", "mounting": "zenith", "optics": {"aperture": 1}}]})
-    with pytest.raises(ValueError, match="not available with heads"):
-        scenario.changed({"sequence.operation.use": True})
+    for key in ("sequence.operation.use", "tracker.in_flight_calibration.use"):
+        with pytest.raises(ValueError, match="not available with heads"):
+            scenario.changed({key: True})

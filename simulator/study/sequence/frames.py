@@ -19,8 +19,8 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.sequence.attitude_columns import NO_FRAME, attitude_columns, camera_error_deg, error_columns
 from simulator.study.sequence.calibration import CalibratedCamera
+from simulator.study.sequence.columns import NO_FRAME, attitude_columns, camera_error_deg, error_columns
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
 from simulator.study.specification.requirements import specification_of

@@ -17,7 +17,7 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.heads import scenario_of_head
 from simulator.scenario.schema import HeadSection
-from simulator.study.sequence.attitude_columns import NO_FRAME, error_columns
+from simulator.study.sequence.columns import NO_FRAME, error_columns
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import CAMERA_AXES, WRONG_NEES, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources

@@ -17,7 +17,7 @@ from simulator.mission.gyro import DEG_H, DEG_SQRT_H, GyroSamples, gyro_samples
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.heads import scenario_of_head
-from simulator.study.sequence.attitude_columns import attitude_columns, error_columns
+from simulator.study.sequence.columns import attitude_columns, error_columns
 from simulator.study.sequence.frames import LEAST_PRIOR_DEG, TrackedFrame
 from simulator.study.sequence.head_camera import BodyState, HeadCamera
 from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
@@ -81,7 +81,7 @@ class HeadsRunner:
     the frames of all heads taken in this step. The estimate is given as the attitude of the first head.
     """
 
-    operated, calibrated = None, None
+    operated = calibrated = None
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario, section = scenario, scenario.sequence

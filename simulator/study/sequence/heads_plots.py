@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.html_page import Table
-from simulator.study.sequence.attitude_columns import NO_FRAME
+from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.plots import draw_compared, time_axis
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel

@@ -1,4 +1,4 @@
-"""Columns of an attitude and its error in ``sequence.parquet``."""
+"""Columns of an attitude and of its errors, as in ``sequence.parquet``."""
 
 from __future__ import annotations
 
@@ -20,19 +20,13 @@ NO_FRAME = "no_frame"
 """Status of a missing frame."""
 
 
-def camera_error_deg(row: dict[str, Any]) -> FloatArray:
-    """Error about the camera's axes (3,), degrees, of a row."""
-    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
-
-
 def attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
-    """Right ascension, declination, roll and quaternion of an attitude; NaN without one."""
+    """Direction and quaternion of an attitude; NaN for None."""
     values = [math.nan] * 7
     if attitude is not None:
         values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *(float(v) for v in attitude.quat)]
-    return dict(
-        zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
-    )
+    names = ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")
+    return dict(zip((f"{prefix}{name}" for name in names), values, strict=True))
 
 
 def error_columns(
@@ -66,3 +60,8 @@ def error_columns(
     columns = {f"error_{axis}_deg": errors[axis] for axis in axes}
     columns |= {f"sigma_{axis}_deg": float(value) for axis, value in zip(axes, sigma, strict=True)}
     return columns | {"nees": nees}
+
+
+def camera_error_deg(row: dict[str, Any]) -> FloatArray:
+    """Error about the camera's axes (3,), degrees, of a row."""
+    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
