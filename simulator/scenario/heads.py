@@ -70,9 +70,10 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         values, problems = _checked(head)
         for path, message in problems:
             yield impossible(f"heads[{k}].{path}", message)
-        if values.get("tracker.in_flight_calibration.use", v["tracker.in_flight_calibration.use"]):
-            message = "calibration in flight is not available with heads; set it to false, or remove heads"
-            yield impossible(f"heads[{k}].tracker.in_flight_calibration.use", message)
+        if values.get("tracker.in_flight_calibration.use", False):
+            yield impossible(
+                f"heads[{k}].tracker.in_flight_calibration.use", "is not available for a head; set it to false"
+            )
         for violation in violations(alone | values):
             if violation not in common and violation.key.startswith(OVERRIDDEN):
                 yield violation._replace(key=f"heads[{k}].{violation.key}")

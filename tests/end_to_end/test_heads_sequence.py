@@ -57,9 +57,9 @@ def test_columns_of_each_head_and_fused(whole):
     assert summary["heads"]["a"]["filter"]["started"] == 1
     assert summary["wrong"] == summary["heads"]["a"]["wrong"] == summary["heads"]["b"]["wrong"] == 0
     # body and camera errors are the same vector, that from truth to estimate; so are those of a head
-    for k, prefix in ((2, ""), (13, "")):
-        true = Attitude([columns[f"{prefix}true_q{i}"][k] for i in "xyzw"])
-        found = Attitude([columns[f"{prefix}q{i}"][k] for i in "xyzw"])
+    for k in (2, 13):
+        true = Attitude([columns[f"true_q{i}"][k] for i in "xyzw"])
+        found = Attitude([columns[f"q{i}"][k] for i in "xyzw"])
         camera = np.degrees(true.rotation_vector_to(found))
         assert np.allclose([columns[f"error_{x}_deg"][k] for x in ("cross_x", "cross_y", "about_boresight")], camera)
     # each head is worst about its own boresight: −z of the body for b, +y for a
@@ -145,6 +145,20 @@ def test_shaken_and_smeared_by_the_same_motion():
         assert (columns[f"head_{head}_nees"] < 31.0).all()
     step = np.diff(columns["true_ra_deg"]) * 3600.0
     assert np.std(step) > 5.0
+
+
+def test_mounting_that_bends():
+    """A rotation of up to 60″ about the y axis of each camera: the attitudes of the cameras are right, that of the body
+    is off by it."""
+    bent = "pointing.thermo_elastic={amplitude_arcsec: [0, 60, 0], reference: node}"
+    columns = run_sequence(pair(bent, frames=3)).columns
+    assert (columns["status"] == "solved").all()
+    rotation = columns["mounting_y_deg"] * 3600.0
+    assert np.abs(rotation).min() > 10.0
+    assert np.abs(columns["error_cross_y_deg"]).max() * 3600.0 < 10.0
+    np.testing.assert_allclose(np.abs(columns["error_yaw_deg"]) * 3600.0, np.abs(rotation), atol=10.0)
+    for head in "ab":
+        assert np.abs(columns[f"head_{head}_error_cross_y_deg"]).max() * 3600.0 < 10.0
 
 
 def test_without_a_gyro_and_without_a_prior():

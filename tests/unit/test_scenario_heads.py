@@ -86,6 +86,7 @@ MISTAKES = {
     "{name: b, mounting: zenith, tracker: {identifier: no}}": "6:43: heads[1].tracker.identifier: ",
     "{name: b, mounting: zenith, optics: {psf: 3}}": "6:42: heads[1].optics.psf: must be a section with keys, not 3",
     "{name: b, mounting: zenith, optics: 3}": "item 2: optics must be a section with keys or null, not 3",
+    "{name: b, mounting: zenith, tracker: {in_flight_calibration: {use: true}}}": "is not available for a head",
     "3": "6:5: heads: must be a list of",
 }
 
