@@ -81,8 +81,8 @@ def build_camera(scenario: Scenario) -> Camera:
     )
 
 
-def build_focal_plane(scenario: Scenario) -> FocalPlane:
-    """Lens, response and point spread functions of a scenario.
+def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> FocalPlane:
+    """Lens, response and point spread functions of a scenario; `camera_seed` replaces its seed for the camera's own.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         camera=camera,
         true_camera=seen_by,
         temperature=temperature,
-        displacement=_displacement(scenario, seen_by, photometer),
+        displacement=_displacement(scenario, seen_by, photometer, camera_seed),
         photometer=photometer,
         psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
         sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
@@ -151,10 +151,10 @@ def lens_temperature(scenario: Scenario) -> LensTemperature:
     )
 
 
-def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer) -> Displacement:
+def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer, camera_seed: int | None) -> Displacement:
     """Displacement of star images against a camera's own."""
-    optics = scenario.optics
-    residual = draw_residual(camera, optics.calibration_residual, stream(scenario.seed, "calibration residual"))
+    optics, seed = scenario.optics, scenario.seed if camera_seed is None else camera_seed
+    residual = draw_residual(camera, optics.calibration_residual, stream(seed, "calibration residual"))
     reference_nm = float(photometer.effective_wavelength_nm(optics.lateral_colour.reference_b_v))
     curve_px = scenario.detector.intra_pixel.centroid_curve_px
     return Displacement.of(camera, residual, optics.lateral_colour, reference_nm, curve_px)
@@ -200,11 +200,11 @@ def build_mounting(scenario: Scenario) -> Attitude:
     return mounting_of(scenario.pointing)
 
 
-def build_detector(scenario: Scenario) -> Detector:
+def build_detector(scenario: Scenario, camera_seed: int | None = None) -> Detector:
     """Detector of a scenario, aged by its environment, with its fixed pattern, which enters frames in single
-    precision."""
-    parameters = aged_detector(scenario)
-    return Detector(parameters, build_fixed_pattern(parameters, scenario.seed).single())
+    precision; `camera_seed` replaces the scenario's for that pattern."""
+    parameters, seed = aged_detector(scenario), scenario.seed if camera_seed is None else camera_seed
+    return Detector(parameters, build_fixed_pattern(parameters, seed).single())
 
 
 def detector_parameters(section: DetectorSection) -> DetectorParameters:

@@ -57,6 +57,9 @@ class Renderer:
     ----------
     scenario : Scenario
         The scenario.
+    camera_seed : int, optional
+        Seed of the camera's own properties and of the noise of its frames, instead of the scenario's: one of several
+        cameras under the same sky.
 
     Raises
     ------
@@ -64,14 +67,15 @@ class Renderer:
         For invalid names or files in the scenario.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, camera_seed: int | None = None) -> None:
         self.scenario = scenario
+        self.seed = scenario.seed if camera_seed is None else camera_seed
         self.exposure_s = scenario.detector.exposure_s
         self.shutter = shutter_of(scenario.detector)
         self.scenes = build_scenes(scenario)
-        self.focal_plane = build_focal_plane(scenario)
+        self.focal_plane = build_focal_plane(scenario, self.seed)
         self.camera = self.focal_plane.camera
-        self.detector = build_detector(scenario)
+        self.detector = build_detector(scenario, self.seed)
         self.transients = build_transients(scenario)
         self.parameters = flat_parameters(scenario)
         device = self.detector.parameters
@@ -152,7 +156,7 @@ class Renderer:
             prior=scene.pointing.prior if scenario.tracker.prior else None,
             prior_deg=max(scenario.pointing.error_deg, _LEAST_PRIOR_DEG),
             scenario=scenario.name,
-            seed=scenario.seed,
+            seed=self.seed,
             index=index,
             parameters=self.parameters | {"detector.exposure_s": duration_s},
         )
@@ -182,7 +186,7 @@ class Renderer:
         return sum(rays.rate_cm2_s for rays in (device if moment.particles is None else moment.particles))
 
     def _streams(self, index: int) -> Streams:
-        return functools.partial(_stream_of_trial, self.scenario.seed, index)
+        return functools.partial(_stream_of_trial, self.seed, index)
 
 
 def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:

@@ -15,7 +15,7 @@ from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.observer import Observer, aberrate
 
-__all__ = ["SeenBodies", "beside_bodies", "body_directions", "seen_bodies"]
+__all__ = ["NO_BODIES", "SeenBodies", "beside_bodies", "body_directions", "seen_bodies"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -59,10 +59,9 @@ class SeenBodies(NamedTuple):
     residual_px: FloatArray
     """(B, 2): Measured minus predicted."""
 
-    @classmethod
-    def none(cls) -> SeenBodies:
-        """No bodies."""
-        return cls(np.empty(0, np.str_), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+
+NO_BODIES = SeenBodies(np.empty(0, np.str_), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+"""No bodies."""
 
 
 def body_directions(observer: Observer) -> dict[str, FloatArray]:
@@ -77,6 +76,11 @@ def body_directions(observer: Observer) -> dict[str, FloatArray]:
     InputError
         If the ephemeris (DE421: 1899-07-29 to 2053-10-09) does not cover the epoch.
     """
+    return dict(zip(*_directions(observer), strict=True))
+
+
+def _directions(observer: Observer) -> tuple[tuple[str, ...], FloatArray]:
+    """Names, and directions (B, 3), of `body_directions`."""
     jd = J2000_JD_TT + DAYS_PER_JULIAN_YEAR * (observer.epoch_jyear - 2000.0)
     if not DE421_SPAN_JD[0] + _STEP_DAYS < jd < DE421_SPAN_JD[1] - _STEP_DAYS:
         raise InputError(outside_ephemeris(jd))
@@ -90,7 +94,7 @@ def body_directions(observer: Observer) -> dict[str, FloatArray]:
     directions = offset / np.sqrt(np.sum(offset**2, axis=1))[:, None]
     if observer.velocity_km_s is not None:
         directions = aberrate(directions, observer.velocity_km_s)
-    return dict(zip(names, directions, strict=True))
+    return names, directions
 
 
 def seen_bodies(
@@ -119,16 +123,19 @@ def seen_bodies(
         Rows (M,) of the identified centroids, and their distances (M,) from the stars, pixels.
     """
     if observer is None or not len(xy):
-        return SeenBodies.none()
+        return NO_BODIES
     try:
-        directions = body_directions(observer)
+        names, directions = _directions(observer)
     except InputError:
-        return SeenBodies.none()
-    names, vectors = list(directions), np.array(list(directions.values())) @ matrix.T
+        return NO_BODIES
+    off_axis = directions @ matrix[2]
+    near = np.flatnonzero(off_axis > math.cos(camera.half_diagonal_rad)).tolist()
+    if not near:
+        return NO_BODIES
     from_star = dict(zip(stars[0].tolist(), stars[1].tolist(), strict=True))
     found = []
-    for k in np.flatnonzero(vectors[:, 2] > math.cos(min(camera.half_diagonal_rad, math.pi))).tolist():
-        predicted = camera.project(vectors[k : k + 1])[0]
+    for k in near:
+        predicted = camera.project((directions[k] @ matrix.T)[None])[0]
         reach_rad = _RADIUS_RAD.get(names[k], _PLANET_RAD)
         if observer.position_au is None:
             reach_rad += _PARALLAX_RAD
@@ -136,7 +143,7 @@ def seen_bodies(
         row = int(np.argmin(away))
         if away[row] <= _BODY_PX + reach_rad / camera.pixel_rad and away[row] < from_star.get(row, math.inf):
             found.append((names[k], row, xy[row], xy[row] - predicted))
-    return SeenBodies(*(np.array(column) for column in zip(*found, strict=True))) if found else SeenBodies.none()
+    return SeenBodies(*(np.array(column) for column in zip(*found, strict=True))) if found else NO_BODIES
 
 
 def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: float) -> NDArray[np.bool_]:
@@ -146,12 +153,11 @@ def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: 
     if observer is None:
         return beside
     try:
-        bodies = body_directions(observer)
+        names, bodies = _directions(observer)
     except InputError:
         return beside
-    reach_rad = np.array([_RADIUS_RAD.get(name, _PLANET_RAD) for name in bodies]) + 2.0 * _BODY_PX * pixel_rad
-    chord = np.linalg.norm(directions[:, None] - np.array(list(bodies.values())), axis=2)
-    return np.asarray((chord < reach_rad).any(axis=1))
+    reach_rad = np.array([_RADIUS_RAD.get(name, _PLANET_RAD) for name in names]) + 2.0 * _BODY_PX * pixel_rad
+    return np.asarray((directions @ bodies.T > np.cos(reach_rad)).any(axis=1))
 
 
 def _states_au(jd: float) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.bodies import SeenBodies, seen_bodies
+from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
@@ -43,13 +43,13 @@ def refine_stars(
     refined = refine(pairs, stars, camera, guide, estimator, free, directions, observer)
     matched = refined.pairs[:, 0], np.hypot(refined.residual_px[:, 0], refined.residual_px[:, 1])
     bodies = seen_bodies(stars.xy, refined.camera, refined.matrix, observer, matched)
-    if not np.isin(bodies.centroid, refined.pairs[:, 0]).any():
+    if not len(bodies.centroid) or not np.isin(bodies.centroid, refined.pairs[:, 0]).any():
         return refined, bodies
     rows = np.setdiff1d(np.arange(len(stars.xy)), bodies.centroid)
     left = pairs[~np.isin(pairs[:, 0], bodies.centroid)]
     left = np.stack([np.searchsorted(rows, left[:, 0]), left[:, 1]], axis=1)
     if len(left) < 2:  # no attitude without it
-        return refined, SeenBodies.none()
+        return refined, NO_BODIES
     kept = None if directions is None else directions[rows]
     again = refine(left, _selected(stars, rows), camera, guide, estimator, free, kept, observer)
     return replace(again, pairs=np.stack([rows[again.pairs[:, 0]], again.pairs[:, 1]], axis=1)), bodies

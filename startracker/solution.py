@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
-from startracker.bodies import SeenBodies
+from startracker.bodies import NO_BODIES, SeenBodies
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
 from startracker.display import angle_text, described, html_card, quantity_range, star_chart
@@ -164,7 +164,7 @@ class Solution:
     operations: int = 0
     prior_contradicted: bool = False
     observer: Observer | None = None
-    bodies: SeenBodies = field(default_factory=SeenBodies.none)
+    bodies: SeenBodies = field(default=NO_BODIES)
 
     def __repr__(self) -> str:
         if self.attitude is None:

@@ -40,6 +40,10 @@ GROUPS = {
         "startracker.Mekf",
         "startracker.RateNoise",
         "startracker.GyroNoise",
+        "startracker.fusion.FusionFilter",
+        "startracker.fusion.Head",
+        "startracker.fusion.AlignedMekf",
+        "startracker.fusion.Update",
     ],
     "Calibration": [
         "startracker.calibrate",

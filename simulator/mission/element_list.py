@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +46,19 @@ class ElementList:
         self.elements = tuple(elements for _, elements in nearest.values())
         self.epoch_s: FloatArray = np.array([at_s for at_s, _ in nearest.values()])
         self._records = [sgp4_record(elements) for elements in self.elements]
+        # sets between whose epochs there is no leap second: one Julian date serves all of them
+        days = np.array([record.jdsatepoch + record.jdsatepochF for record in self._records])
+        _, self._leap_group = np.unique(np.round(days * SECONDS_PER_DAY - self.epoch_s), return_inverse=True)
+        self._all: dict[int, Any] = {}
 
     @classmethod
     def read(cls, path: Path, clock: Clock, max_age_days: float) -> ElementList:
         """The list of a file (`simulator.mission.mean_elements.read_elements`); `InputError` with file and line."""
-        sets = read_elements(path)
+        try:
+            stat = path.stat()
+            sets = _read(path, stat.st_mtime_ns, stat.st_size)
+        except OSError:
+            sets = tuple(read_elements(path))  # the reader's message
         if not sets:
             raise InputError(f"{path}: has no elements; give a file of two-line elements or CCSDS OMM")
         return cls(sets, clock, max_age_days)
@@ -65,27 +75,32 @@ class ElementList:
         InputError
             If a set is older than `max_age_days`.
         """
-        rows = np.arange(len(self)) if rows is None else rows
-        self._refuse_old(t_s, rows)
-        r_km, v_km_s = np.empty((2, len(rows), len(t_s), 3))
-        for members in self._groups(rows):
-            r_km[members], v_km_s[members] = self._propagated(t_s, rows[members])
+        chosen = np.arange(len(self)) if rows is None else rows
+        self._refuse_old(t_s, chosen)
+        r_km, v_km_s = np.empty((2, len(chosen), len(t_s), 3))
+        for group in np.unique(self._leap_group[chosen]).tolist():
+            members = np.flatnonzero(self._leap_group[chosen] == group)
+            array = self._array(chosen[members], group if rows is None else None)
+            r_km[members], v_km_s[members] = self._propagated(t_s, array, int(chosen[members[0]]))
         matrix = teme(self.clock, t_s)
         return States(to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s))
 
-    def _groups(self, rows: IntArray) -> list[IntArray]:
-        """Rows between whose epochs there is no leap second, so that one Julian date serves all of them."""
-        days = np.array([sum(self.elements[row].epoch_jd) for row in rows.tolist()])
-        leap_s = np.round(days * SECONDS_PER_DAY - self.epoch_s[rows], 1)
-        return [np.flatnonzero(leap_s == value) for value in np.unique(leap_s)]
-
-    def _propagated(self, t_s: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _array(self, rows: IntArray, group: int | None) -> Any:
+        """python-sgp4's array of some rows; that of a whole group is kept."""
         from sgp4.api import SatrecArray
 
-        first = self._records[rows[0]]
+        if group is None or group not in self._all:
+            array = SatrecArray([self._records[row] for row in rows.tolist()])
+            if group is None:
+                return array
+            self._all[group] = array
+        return self._all[group]
+
+    def _propagated(self, t_s: FloatArray, array: Any, row: int) -> tuple[FloatArray, FloatArray]:
+        """TEME states (N, K, 3) of an array of which a row of the list is a member."""
+        first = self._records[row]
         # SGP4 subtracts the epoch of each set again: these are elapsed SI seconds, independent of leap seconds
-        days = first.jdsatepochF + (t_s - self.epoch_s[rows[0]]) / SECONDS_PER_DAY
-        array = SatrecArray([self._records[row] for row in rows.tolist()])
+        days = first.jdsatepochF + (t_s - self.epoch_s[row]) / SECONDS_PER_DAY
         error, r_km, v_km_s = array.sgp4(np.full(days.shape, first.jdsatepoch), days)
         r_km[error != 0], v_km_s[error != 0] = np.nan, np.nan
         return r_km, v_km_s
@@ -100,3 +115,9 @@ class ElementList:
                 f"{self.clock.isot(of_s)} UTC, more than sky.satellites.max_age_days = {self.max_age_days:g} days from "
                 f"{self.clock.isot(float(t_s[when]))}; use elements of that time, or change the epoch or study.sampling"
             )
+
+
+@functools.lru_cache(maxsize=2)  # 30,000 objects take seconds; the check of a scenario and its sky read the same file
+def _read(path: Path, mtime_ns: int, size: int) -> tuple[MeanElements, ...]:
+    """Sets of elements of a file with this date and size."""
+    return tuple(read_elements(path))

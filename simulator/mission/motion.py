@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -122,10 +122,10 @@ def motion(
     sequence: SequenceMotion,
     orbit: Trajectory,
     start: Pointing,
-    frames: int,
+    since_s: Sequence[float],
     law: AttitudeLaw | None = None,
 ) -> list[MotionState]:
-    """True states at the first `frames` frames of a sequence.
+    """True states at times of a sequence.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ def motion(
         The trajectory; the local level refers to its centre.
     start : Pointing
         Attitude at the first frame, without jitter.
-    frames : int
-        Number of frames.
+    since_s : sequence of float
+        Times after the first frame in ascending order, from 0.
     law : AttitudeLaw, optional
         That of the section (`simulator.mission.attitudes`).
     """
@@ -153,13 +153,13 @@ def motion(
     at_start = start.body @ reference(sequence.start_s).inverse
     turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
     states = []
-    for k in range(frames):
-        since_s = k * sequence.step_s
-        if k:
-            turned = profile.turn((k - 1) * sequence.step_s, since_s) @ turned
-        t_s = sequence.start_s + since_s
+    before_s = 0.0
+    for now_s in since_s:
+        if now_s > before_s:
+            turned = profile.turn(before_s, now_s) @ turned
+        before_s, t_s = now_s, sequence.start_s + now_s
         in_reference = turned @ at_start
-        rate_body = in_reference.apply(rate_of(t_s)) + profile.at(since_s)
+        rate_body = in_reference.apply(rate_of(t_s)) + profile.at(now_s)
         camera = start.mounting @ in_reference @ reference(t_s)
         states.append(MotionState(t_s, camera, start.mounting.apply(rate_body)))
     return states

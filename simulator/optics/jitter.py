@@ -201,6 +201,10 @@ class JitterPath:
         """The same path with time relative to `t_s`: `shifted(t).at(u)` is `at(t + u)`."""
         return replace(self, origin_s=self.origin_s + t_s)
 
+    def in_axes(self, matrix: FloatArray) -> JitterPath:
+        """The same path in other axes, into which the matrix (3, 3) transforms the present ones."""
+        return replace(self, matrix=matrix @ self.matrix, offset_rad=matrix @ self.offset_rad)
+
     def rms_rate_rad_s(self) -> FloatArray:
         """Root mean square (3,) of the angular rate, camera axes."""
         power = (2.0 * np.pi * self.frequency_hz) ** 2 * (self.cosine_rad**2 + self.sine_rad**2) / 2.0

@@ -114,6 +114,10 @@ class SampledJitter:
         """The same motion with time relative to `t_s`: `shifted(t).at(u)` is `at(t + u)`."""
         return replace(self, origin_s=self.origin_s + t_s)
 
+    def in_axes(self, matrix: FloatArray) -> SampledJitter:
+        """The same motion in other axes, into which the matrix (3, 3) transforms the present ones."""
+        return replace(self, matrix=matrix @ self.matrix, offset_rad=matrix @ self.offset_rad)
+
     def rms_rate_rad_s(self) -> FloatArray:
         """Root mean square (3,) of the angular rate, camera axes."""
         return np.asarray(np.sqrt(self.matrix**2 @ self.series.rms_rate_rad_s**2))

@@ -113,6 +113,12 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
 
 def absolute_files(tree: Table, folder: str) -> Table:
     """Names of files as absolute paths, so that they remain valid in another folder."""
+    heads = tree.entries.get("heads")
+    if heads and isinstance(heads.node, Value) and heads.node.items:
+        items = tuple(absolute_files(item, folder) if isinstance(item, Table) else item for item in heads.node.items)
+        data = [item.plain() if isinstance(item, Table) else item.data for item in items]
+        value = Value(data, heads.node.location, items)
+        tree = merge(tree, Table(tree.location, {"heads": Entry(heads.location, value)}))
     for path in FILE_KEYS:
         tables, keys = [tree], path.split(".")
         for key in keys[:-1]:

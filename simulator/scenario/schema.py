@@ -36,6 +36,7 @@ from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.tether import Tether
 from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
 from simulator.scenario.schema_camera import DetectorSection, OpticsSection
+from simulator.scenario.schema_heads import HeadSection
 from simulator.scenario.schema_sequence import SequenceSection
 from simulator.scenario.schema_specification import SpecificationSection
 from simulator.sky.catalogue_errors import CatalogueErrors
@@ -49,7 +50,7 @@ from startracker.settings import (
     OperationSettings,
 )
 
-__all__ = ["LIMITS", "DetectorSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
+__all__ = ["LIMITS", "DetectorSection", "HeadSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
 
 
 def _utc(value: datetime) -> datetime:
@@ -130,6 +131,10 @@ class ScenarioModel(Section):
     """The study."""
     sequence: SequenceSection = SequenceSection()
     """The sequence of ``run --sequence``."""
+    heads: tuple[HeadSection, ...] = ()
+    """Several cameras, whose attitudes the sequence fuses with the gyro; a list. Each has its own values of lens,
+    detector and tracker where it states them, and otherwise those of the scenario. The first head is the reference: the
+    fused attitude is given in its axes. Without heads the spacecraft has the one camera of the scenario."""
     specification: SpecificationSection = SpecificationSection()
     """Required performance."""
     allow_unphysical: bool = False

@@ -174,7 +174,7 @@ def _accepted(
     fit failed, and such a star counts as apart from its group.
 
     If the assumed star image is right (`blends`), NaN where the detection is a hot pixel, twice the logarithm of whose
-    odds beforehand is `odds_hot`; where no star can be fitted and one pixel explains the window; and where χ² makes the
+    prior odds is `odds_hot`, where no star can be fitted and one pixel explains the window, and where χ² makes the
     error exceed the width of the star image, whose variances sum to `image_px2`: a pixel's residual then has more light
     than the star.
     """

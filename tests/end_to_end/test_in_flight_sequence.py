@@ -88,6 +88,8 @@ def test_results_and_page(tmp_path):
     page = (tmp_path / "sequence.html").read_text(encoding="utf-8")
     assert "Calibration in flight" in page
     assert "Principal point, columns" in page
+    assert "defective pixels" in page
+    assert f"{sequence.summary['in_flight_calibration']['chi2']['value']:.1f}" in page
     again = run_sequence(scenario)
     for name in sequence.frames.column_names:
         if not name.endswith("_ms"):

@@ -427,3 +427,5 @@ def test_a_damaged_list_is_an_error_of_the_scenario_with_file_and_line(listed, t
     path.write_text("\n")
     with pytest.raises(InputError, match=r"damaged.tle: has no elements"):
         load_scenario("cubesat", [f"sky.satellites.file={path}"])
+    with pytest.raises(InputError, match=r"missing.tle: cannot be read"):
+        load_scenario("cubesat", [f"sky.satellites.file={tmp_path / 'missing.tle'}"])

@@ -81,6 +81,24 @@ def test_few_stars_and_negative_times():
     assert filtered.change.tolist() == [0.0] * 4
 
 
+def test_rows_of_a_rolling_shutter_rotate_with_the_camera():
+    """Rows exposed 20 µs after each other while the camera rotates at 1°/s about x: the field is sheared by 3.5e-4,
+    which is no change of the lens. Without the rate of the camera as an unknown the focal length would be off by half
+    of that."""
+    rolling = Camera(2000.0, 2000.0, 511.5, 511.5, 1024, 1024, row_time_s=2e-5)
+    for camera, right in ((rolling, True), (replace(rolling, row_time_s=0.0), False)):
+        rng, filtered = np.random.default_rng(6), LensFilter(camera, InFlightSettings(focal_length_ppm=1000.0))
+        for k in range(20):
+            matrix, stars = new_sky(rng, camera, 30, 0.02, 30 * k)
+            for n in range(30):
+                turn = [math.radians(1.0) * (stars.xy[n, 1] - 511.5) * 2e-5, 0.0, 0.0]
+                row = Rotation.from_rotvec(turn).as_matrix() @ matrix
+                stars.xy[n] = camera.project(stars.directions[n] @ row.T)[0] + 0.02 * rng.normal(size=2)
+            filtered.predict(1.0)
+            filtered.update(matrix, stars)
+        assert (abs(filtered.change[0]) < 4.0 * filtered.sigma[0]) == right
+
+
 # ---------------------------------------------------------------------- the width of star images
 def gaussian_image(sigma_px, xy, flux, noise_dn, seed=1, shape=(200, 240)):
     """Pixel-integrated Gaussians by differences of the normal distribution, on a level of 100 DN."""

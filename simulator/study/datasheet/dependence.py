@@ -14,7 +14,7 @@ from simulator.scenario.fields import flatten
 from simulator.study.datasheet.estimates import Estimate, cross_square_deg2, mean_of, proportion, rms_of, upper_limit
 from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.sheet import LEVELS, Quantity
-from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
+from simulator.study.datasheet.tasks import TRIALS_PER_TASK, Columns, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.statistics import CAMERA_AXES
 from startracker.constants import ARCSEC_PER_DEG
@@ -92,7 +92,9 @@ def residuals(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[
         quantities += [
             named("aberration_residual", term.title, upper_limit(errors[:, k], level), level=level) for level in LEVELS
         ]
-    return quantities + _thermo_elastic(scenario, runner, count) + _mounting(scenario)
+    # at least a whole task, whose trials at the scenario's own temperature are those of the measurement error
+    pairs = min(max(count, TRIALS_PER_TASK), amounts.trials)
+    return quantities + _thermo_elastic(scenario, runner, pairs) + _mounting(scenario)
 
 
 def _mounting(scenario: Scenario) -> list[Quantity]:

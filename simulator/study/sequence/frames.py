@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
-from simulator.mission.motion import MotionState, motion, on_mounting
-from simulator.mission.pointing import Pointing, deformed, hold, point, point_by, point_spinning
+from simulator.mission.motion import MotionState, on_mounting
+from simulator.mission.pointing import deformed
 from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.sequence.attitude_columns import attitude_columns, camera_error_deg
 from simulator.study.sequence.calibration import CalibratedCamera
+from simulator.study.sequence.columns import NO_FRAME, attitude_columns, camera_error_deg, error_columns
 from simulator.study.sequence.operation import OperatedCamera
+from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
@@ -39,7 +39,7 @@ from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.kernels import clock
 from startracker.solution import Solution
-from startracker.tracking import GyroNoise, RateNoise, TrackingSession
+from startracker.tracking import TrackingSession
 
 __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]
 
@@ -48,14 +48,7 @@ FloatArray = NDArray[np.float64]
 MODES = ("tracking", "prior", "lost_in_space", "coasting", "none")
 """Source of the attitude of a frame: windows; whole frame near the prediction; whole frame and whole sky; prediction
 only; none."""
-NO_FRAME = "no_frame"
-"""Status of a missing frame."""
 LEAST_PRIOR_DEG = 0.1
-_LEAST_WALK = 1e-6
-"""Minimum disturbance, rad/s/√s, assumed by the filter: a freely drifting body."""
-_FEWEST_FOR_WALK = 8
-_LAG_MARGIN = 3.0
-"""Factor on a constant acceleration, which is not white noise, so that the lag of the filter is less than its σ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +87,13 @@ class SequenceRunner:
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification = specification_of(scenario)
         section = scenario.sequence
-        self._pointing = scenario.pointing
-        self.start = self._start()
-        plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
-        self.states = motion(self._pointing, plan, orbit, self.start, section.frames, self.renderer.scenes.law)
+        self.start = start_pointing(scenario, self.renderer)
+        since_s = [k * section.step_s for k in range(section.frames)]
+        self.states = states_at(scenario, self.renderer.scenes, self.start, since_s)
         self.renderer.scenes.plan([state.t_s for state in self.states])
         self.rotations_rad = [self.renderer.scenes.mounting_rotation_rad(state.t_s) for state in self.states]
         self.states = [on_mounting(state, turn) for state, turn in zip(self.states, self.rotations_rad, strict=True)]
-        self.shaking = self._shaking()
+        self.shaking = jitter_at(scenario, self.renderer.scenes, since_s)
         self.cameras = [state.camera for state in self.states]
         """True attitudes, including the mean jitter over the exposure."""
         self.rates = [state.rate_camera_rad_s for state in self.states]
@@ -114,70 +106,17 @@ class SequenceRunner:
         self.biases: FloatArray | None = None
         if section.gyro.use:
             turns = [a.rotation_vector_to(b) for a, b in pairwise(self.cameras)]
-            samples = gyro_samples(
+            self.gyro, self.biases, _ = gyro_samples(
                 section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
             )
-            self.gyro, self.biases = samples
-        self.noise = self._noise()
+        self.noise = process_noise(section, self.states, self.shaking, self.renderer.exposure_s)
         self.operated: OperatedCamera | None = None
         """The camera with its rules of operation, set by `frames`; None without rules."""
         self.calibrated: CalibratedCamera | None = None
         """The camera with its calibration in flight, set by `frames`; None without."""
 
-    def _shaking(self) -> list[JitterMotion]:
-        """Jitter relative to each mid-exposure, one process for the whole sequence; empty without jitter."""
-        section = self.scenario.sequence
-        path = self.renderer.scenes.sequence_jitter(stream(self.scenario.seed, "jitter", 0), section.start_s)
-        return [path.shifted(k * section.step_s) for k in range(section.frames)] if path is not None else []
-
     def _jitter(self, k: int) -> JitterMotion | None:
         return self.shaking[k] if self.shaking else None
-
-    def _start(self) -> Pointing:
-        """Attitude at the first frame: that of trial 0 at this time, without jitter."""
-        scenario, scenes = self.scenario, self.renderer.scenes
-        rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
-        if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
-            return point_spinning(self._pointing, start_s, rng)
-        if scenes.law is not None:
-            return point_by(self._pointing, scenes.law, start_s, rng)
-        if scenario.pointing.target is None:
-            return point(self._pointing, *scenes.orbit.state(start_s), rng)
-        nominal = self.renderer.scene(0, at_s=start_s).pointing.prior
-        return hold(self._pointing, nominal, rng)
-
-    def _noise(self) -> GyroNoise | RateNoise:
-        """Process noise of the filter: motion or gyro."""
-        section = self.scenario.sequence
-        walk = section.rate_walk_deg_s_sqrt_s
-        if walk == "auto":
-            rates = np.array([state.rate_camera_rad_s for state in self.states])
-            change = np.linalg.norm(np.diff(rates, axis=0), axis=1).max(initial=0.0) / section.step_s
-            acceleration = max(_LEAST_WALK, _LAG_MARGIN * change * math.sqrt(section.step_s), self._jitter_walk())
-        else:
-            acceleration = math.radians(walk)
-        if not section.gyro.use:
-            return RateNoise(acceleration, math.radians(section.rate_sigma_deg_s))
-        gyro = section.gyro
-        return GyroNoise(
-            angle_random_walk=gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H,
-            rate_random_walk=gyro.bias_instability_deg_h * DEG_H * math.sqrt(2.0 / gyro.bias_time_s),
-            bias_sigma_rad_s=max(math.hypot(gyro.bias_deg_h, gyro.bias_instability_deg_h) * DEG_H, 1e-9),
-            acceleration=acceleration,
-            scale_sigma=gyro.scale_factor_ppm * 1e-6,
-        )
-
-    def _jitter_walk(self) -> float:
-        """White angular acceleration, rad/s/√s, equivalent to the second differences of the jitter angles.
-
-        For an angle driven by a density q their variance is 2 q h³/3 at a step h.
-        """
-        section = self.scenario.sequence
-        angles = np.array([j.mean(self.renderer.exposure_s) for j in self.shaking])
-        if len(angles) < _FEWEST_FOR_WALK:
-            return 0.0
-        variance = np.mean(np.diff(angles, 2, axis=0) ** 2, axis=0).max()
-        return math.sqrt(1.5 * float(variance) / section.step_s**3)
 
     # ------------------------------------------------------------------ the frames
     def frames(self) -> Iterator[TrackedFrame]:
@@ -293,20 +232,12 @@ class SequenceRunner:
             "beyond_specification": False,
         }
         row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
-        errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
-        sigma = np.full(6, math.nan)
-        nees = math.nan
-        if estimate is not None and covariance is not None:
-            errors = attitude_errors_deg(true, estimate, mounting, rotation_rad)
-            row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
-            camera = covariance[:3, :3]
-            to_body = mounting.inverse.as_matrix()
-            sigma = np.degrees(np.sqrt([*np.diag(to_body @ camera @ to_body.T), *np.diag(camera)]))
-            vector = true.rotation_vector_to(estimate)
-            nees = float(vector @ np.linalg.solve(camera, vector))
-        row |= {f"error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
-        row |= {f"sigma_{axis}_deg": float(v) for axis, v in zip((*BODY_AXES, *CAMERA_AXES), sigma, strict=True)}
-        row["nees"] = nees
+        compared = error_columns(
+            true, estimate, None if covariance is None else covariance[:3, :3], mounting, rotation_rad
+        )
+        errors = {axis: compared[f"error_{axis}_deg"] for axis in (*BODY_AXES, *CAMERA_AXES)}
+        row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
+        row |= compared
         row |= self._rates(k, session)
         row |= {
             "innovation_distance2": innovation.distance2 if innovation else math.nan,

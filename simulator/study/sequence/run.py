@@ -19,6 +19,8 @@ from simulator.study.result_files import json_text, now_utc, parquet_bytes, writ
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.heads import HeadsRunner
+from simulator.study.sequence.heads_statistics import fused_nees, summarise_heads
 from simulator.study.sequence.messages import sequence_kernels, sequence_messages, state_columns
 from simulator.study.sequence.operation import summarise_operation
 from simulator.study.sequence.statistics import summarise_sequence
@@ -29,7 +31,7 @@ from simulator.study.trials.arrow import as_array, table_of
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
 from startracker.display import described
-from startracker.errors import BoresightError
+from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
 
 __all__ = ["Sequence", "run_sequence"]
@@ -160,7 +162,9 @@ def _run(
     frames_standing: int = 0,
 ) -> Sequence:
     requested = scenario.sequence.frames
-    runner = SequenceRunner(scenario, single=single)
+    if single and scenario.heads:
+        raise InputError("single: the heads are solved frame by frame; omit --single")
+    runner = HeadsRunner(scenario) if scenario.heads else SequenceRunner(scenario, single=single)
     started = clock()
     pieces: list[pa.Table] = []
     rows: list[dict[str, Any]] = []
@@ -207,6 +211,8 @@ def _run(
         elapsed_s=elapsed_s,
         median_ms={name: median(columns[f"{name}_ms"]) for name in ("render", "track")},
     )
+    if scenario.heads:
+        sequence.summary.update(heads=summarise_heads(columns, scenario), nees=fused_nees(columns))
     if runner.operated is not None:
         sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
     if runner.calibrated is not None:
