@@ -110,7 +110,7 @@ def read_aem(path: Path, clock: Clock, wanted: str | None) -> AemSegments:
     frames = {_other_frame(segment).value.upper(): _other_frame(segment) for segment in written}
     if len(frames) > 1:
         names = " and ".join(frames)
-        raise InputError(f"{path}: has attitudes of {names}; choose one by pointing.attitude.object")
+        raise InputError(f"{path}: has attitudes of {names}; give a file with one of them")
     item = next(iter(frames.values()))
     gives = _GIVES.get(item.value.upper().rstrip("0123456789").rstrip("_"))
     return AemSegments([_segment(segment, clock) for segment in written], gives, f"{item.position}: {item.value}")

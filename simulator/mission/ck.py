@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from simulator.mission.attitude_law import body_of, from_matrices
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import from_tdb_seconds, tdb_seconds
+from simulator.mission.spice import need_spiceypy
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
 from startracker.errors import InputError
 
@@ -131,11 +132,9 @@ def _number(wanted: str | int) -> int | None:
 @contextmanager
 def _loaded(kernels: tuple[str, ...]) -> Iterator[Any]:
     """SpiceyPy with kernels loaded; its errors in one line."""
-    try:
-        import spiceypy
-        from spiceypy.utils.exceptions import NotFoundError, SpiceyError
-    except ImportError as error:
-        raise InputError("CK kernels need the package spiceypy: pip install 'boresight[spice]'") from error
+    spiceypy = need_spiceypy()
+    from spiceypy.utils.exceptions import NotFoundError, SpiceyError
+
     mine = [name for name in _DELTET if not spiceypy.expool(name)]
     try:
         for kernel in kernels:

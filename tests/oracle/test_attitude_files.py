@@ -25,6 +25,7 @@ from simulator.mission.epochs import tdb_seconds
 from simulator.mission.frames import to_frame
 from simulator.mission.messages import Header, aem_text
 from simulator.mission.parameters import AttitudeSource, OrbitParameters, PointingParameters
+from simulator.mission.spice import Attitudes, spice_kernels
 from simulator.mission.trajectories import build_trajectory
 from startracker.attitude import Attitude, quat_to_matrix
 from startracker.errors import InputError
@@ -253,6 +254,18 @@ def test_ck_as_spice_reads_it(kernels):
     mounting = Attitude(np.array(MOUNTING), "body", "camera")
     seen = (mounting @ Attitude(camera.quaternions(at[:1])[0], "icrs", "body")).as_matrix()
     np.testing.assert_allclose(seen, matrices[0], rtol=0, atol=1e-12)
+
+
+def test_kernels_of_our_own(tmp_path):
+    """Written as ``run --sequence`` does; seconds after J2000 are rounded to 1.2e-7, at 0.02 rad/s: 3e-9."""
+    files = spice_kernels(ORBIT, T_S, {"true.bc": Attitudes(T_S, tumbling(T_S))})
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    law = law_of(ck=str(tmp_path / "true.bc"), sclk=str(tmp_path / "camera.tsc"), gives="camera")
+    mounting = Attitude(np.array(MOUNTING), "body", "camera")
+    seen = np.array([(mounting @ Attitude(q, "icrs", "body")).quat for q in law.quaternions(T_S)])
+    assert_same(seen, tumbling(T_S), 3e-9)
+    assert law.span_s == pytest.approx((0.0, 110.0), abs=2e-6)
 
 
 def test_mistakes_with_ck(kernels, tmp_path, monkeypatch):

@@ -137,6 +137,32 @@ def test_files_that_cannot_be_read(tmp_path):
         law_of(tmp_path, "aem", AEM, csv="x.csv")
 
 
+def test_segments_objects_and_usable_spans(tmp_path):
+    """Between segments nothing is interpolated; of two that overlap the later one holds; one object is chosen."""
+    later = AEM[AEM.index("META_START") :].replace("T12:00:", "T12:01:")
+    law = law_of(tmp_path, "aem", AEM + later)
+    assert law.span_s == pytest.approx((0.0, 80.0), abs=2e-6)
+    np.testing.assert_allclose(law.quaternions(np.array([70.0])), law.quaternions(np.array([10.0])), atol=1e-12)
+    with pytest.raises(InputError, match=r"no attitudes from 2026-03-21T12:00:20.000 to 2026-03-21T12:01:00.000 UTC"):
+        law.quaternions(np.array([5.0, 40.0]))
+    still = AEM[AEM.index("META_START") :].replace("0.0871557427476582 0.9961946980917455", "0.0 1.0")
+    still = still.replace("0.1736481776669303 0.9848077530122081", "0.0 1.0").replace("T12:00:00 0", "T12:00:05 0")
+    still = still.replace("START_TIME = 2026-03-21T12:00:00", "START_TIME = 2026-03-21T12:00:05")
+    both = law_of(tmp_path, "aem", AEM + still).quaternions(np.array([4.0, 6.0]))
+    assert abs(both[0, 2]) > 0.03
+    assert abs(both[1, 2]) < 1e-12
+    other = later.replace("2026-001A", "2026-001B").replace("= CRAFT", "= OTHER")
+    with pytest.raises(InputError, match=r"pointing.attitude.object: CRAFT \(2026-001A\), OTHER \(2026-001B\)"):
+        law_of(tmp_path, "aem", AEM + other)
+    assert law_of(tmp_path, "aem", AEM + other, object="OTHER").span_s[0] == pytest.approx(60.0, abs=2e-6)
+    usable = "STOP_TIME = 2026-03-21T12:00:20\nUSEABLE_STOP_TIME = 2026-03-21T12:00:15"
+    short = law_of(tmp_path, "aem", replaced("STOP_TIME = 2026-03-21T12:00:20", usable))
+    assert short.span_s == pytest.approx((0.0, 15.0), abs=2e-6)
+    frames = later.replace("SC_BODY_1", "SC_BODY_2")
+    with pytest.raises(InputError, match=r"has attitudes of SC_BODY_1 and SC_BODY_2"):
+        law_of(tmp_path, "aem", AEM + frames)
+
+
 # ---------------------------------------------------------------- in scenarios
 def scenario(tmp_path, text="", overrides=(), base="orbit"):
     (tmp_path / "craft.aem").write_text(AEM)
