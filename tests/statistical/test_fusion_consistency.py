@@ -11,18 +11,16 @@ from two_heads import HEADS, NOISE, SIGMA, error_of, fly, in_order
 
 from startracker.fusion import FusionFilter
 
-RUNS = 500
 
-
-@pytest.mark.slow
-def test_500_flights_with_misalignment_and_gyro_errors():
+@pytest.mark.parametrize("runs", [50, pytest.param(500, marks=pytest.mark.slow)])
+def test_flights_with_misalignment_and_gyro_errors(runs):
     """NEES at the end of each flight, of the attitude, of the gyro's errors, of the alignment and of all together:
-    inside the 95 % bounds of χ²(n · 500)/500. Injected errors are recovered to a fraction of what they were."""
+    inside the 95 % bounds of χ²(n N)/N. Injected errors are recovered to a fraction of what they were."""
     times = np.linspace(0.0, 60.0, 121)
     parts = {"attitude": slice(0, 3), "bias": slice(3, 6), "scale": slice(6, 9), "alignment": slice(9, 12)}
     nees = {name: [] for name in (*parts, "all")}
     errors, start = [], np.repeat([NOISE.bias_sigma_rad_s, NOISE.scale_sigma, HEADS[1].alignment_sigma_rad], 3)
-    for seed in range(RUNS):
+    for seed in range(runs):
         flight = fly(np.random.default_rng(10_000 + seed), times, lambda k: (0, 1))
         found = in_order(FusionFilter(HEADS, NOISE), flight).estimate(60.0)
         error, p = error_of(flight, found), found.full_covariance
@@ -31,7 +29,7 @@ def test_500_flights_with_misalignment_and_gyro_errors():
         errors.append(error[3:] / start)
     for name, values in nees.items():
         n = 12 if name == "all" else 3
-        low, high = (chdtri(n * RUNS, p) / RUNS for p in (0.975, 0.025))
+        low, high = (chdtri(n * runs, p) / runs for p in (0.975, 0.025))
         assert low < np.mean(values) < high, (name, np.mean(values), low, high)
     assert (np.sqrt(np.mean(np.square(errors), axis=0)) < 0.15).all()
 
