@@ -20,6 +20,8 @@ from simulator.environment.parameters import Environment
 from simulator.environment.transients import Transients
 from simulator.exposure import Shutter
 from simulator.focal_plane import FocalPlane
+from simulator.mission.attitudes import build_attitude_law
+from simulator.mission.jitter_table import read_jitter
 from simulator.mission.parameters import OrbitParameters, SequenceMotion
 from simulator.mission.pointing import mounting_of
 from simulator.mission.trajectories import build_trajectory
@@ -30,13 +32,14 @@ from simulator.optics.jitter import load_spectrum
 from simulator.optics.lens import Lens
 from simulator.optics.psf_set import PsfSet
 from simulator.optics.stray_light import build_baffle
-from simulator.optics.thermal import true_camera
+from simulator.optics.thermal import LensTemperature
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.schema import DetectorSection, SequenceSection
 from simulator.scene import SceneBuilder, SceneParameters
 from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
+from simulator.sky.satellites import load_satellites
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 
@@ -51,10 +54,14 @@ __all__ = [
     "build_scenes",
     "build_transients",
     "detector_parameters",
+    "lens_temperature",
     "orbit_radiation_of",
     "sequence_motion",
     "shutter_of",
 ]
+
+_LARGEST_IMAGE_PX = 512
+"""Lines above and below the detector, in the images of whose stars a rolling shutter has rows."""
 
 
 def build_camera(scenario: Scenario) -> Camera:
@@ -74,8 +81,8 @@ def build_camera(scenario: Scenario) -> Camera:
     )
 
 
-def build_focal_plane(scenario: Scenario) -> FocalPlane:
-    """Lens, response and point spread functions of a scenario.
+def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> FocalPlane:
+    """Lens, response and point spread functions of a scenario; `camera_seed` replaces its seed for the camera's own.
 
     Raises
     ------
@@ -98,11 +105,13 @@ def build_focal_plane(scenario: Scenario) -> FocalPlane:
         detector.charge_diffusion_um,
         detector.intra_pixel.contrast,
     )
-    seen_by = _true_camera(scenario, camera)
+    temperature = lens_temperature(scenario)
+    seen_by = temperature.camera_at(camera, 0.0)
     return FocalPlane(
         camera=camera,
         true_camera=seen_by,
-        displacement=_displacement(scenario, seen_by, photometer),
+        temperature=temperature,
+        displacement=_displacement(scenario, seen_by, photometer, camera_seed),
         photometer=photometer,
         psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
         sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
@@ -130,17 +139,22 @@ def _faint_sky(scenario: Scenario) -> FaintSky | None:
     return FaintSky(scenario.seed, sky.magnitude_limit, sky.faint_magnitude_limit)
 
 
-def _true_camera(scenario: Scenario, calibrated: Camera) -> Camera:
-    """The camera at the temperature of its lens."""
+def lens_temperature(scenario: Scenario) -> LensTemperature:
+    """Temperature of the lens over time, and its effect on the camera."""
     thermal, pitch_um = scenario.optics.thermal, scenario.detector.pitch_um
-    moved = (thermal.decentring_um_k[0] / pitch_um[0], thermal.decentring_um_k[1] / pitch_um[1])
-    return true_camera(calibrated, thermal.expansion_ppm_k, thermal.temperature_c - thermal.reference_c, moved)
+    return LensTemperature(
+        expansion_ppm_k=thermal.expansion_ppm_k,
+        decentring_px_k=(thermal.decentring_um_k[0] / pitch_um[0], thermal.decentring_um_k[1] / pitch_um[1]),
+        warmer_k=thermal.temperature_c - thermal.reference_c,
+        swing_k=thermal.swing_k,
+        period_s=thermal.swing_period_s,
+    )
 
 
-def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer) -> Displacement:
+def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer, camera_seed: int | None) -> Displacement:
     """Displacement of star images against a camera's own."""
-    optics = scenario.optics
-    residual = draw_residual(camera, optics.calibration_residual, stream(scenario.seed, "calibration residual"))
+    optics, seed = scenario.optics, scenario.seed if camera_seed is None else camera_seed
+    residual = draw_residual(camera, optics.calibration_residual, stream(seed, "calibration residual"))
     reference_nm = float(photometer.effective_wavelength_nm(optics.lateral_colour.reference_b_v))
     curve_px = scenario.detector.intra_pixel.centroid_curve_px
     return Displacement.of(camera, residual, optics.lateral_colour, reference_nm, curve_px)
@@ -160,14 +174,20 @@ def build_scenes(scenario: Scenario) -> SceneBuilder:
     InputError
         For a target that is not in its sky, or names or files that cannot be used.
     """
+    orbit, detector = build_orbit(scenario), scenario.detector
+    margin_lines = detector.height + 2 * _LARGEST_IMAGE_PX if detector.shutter == "rolling" else 0
     parameters = SceneParameters(
         seed=scenario.seed,
         sampling=scenario.study.sampling,
         pointing=scenario.pointing,
         spectrum=load_spectrum(scenario.pointing.jitter, scenario.base_dir),
         sky=scenario.sky,
+        series=read_jitter(scenario.pointing.jitter, orbit.clock, scenario.base_dir),
+        exposure_margin_s=margin_lines * detector.line_time_us * 1e-6,
     )
-    return SceneBuilder(parameters, build_orbit(scenario))
+    law = build_attitude_law(scenario.pointing, orbit, scenario.base_dir)
+    satellites = load_satellites(scenario.sky.satellites, orbit.clock, scenario.base_dir)
+    return SceneBuilder(parameters, orbit, law, satellites)
 
 
 def build_orbit(scenario: Scenario) -> Trajectory:
@@ -180,11 +200,11 @@ def build_mounting(scenario: Scenario) -> Attitude:
     return mounting_of(scenario.pointing)
 
 
-def build_detector(scenario: Scenario) -> Detector:
+def build_detector(scenario: Scenario, camera_seed: int | None = None) -> Detector:
     """Detector of a scenario, aged by its environment, with its fixed pattern, which enters frames in single
-    precision."""
-    parameters = aged_detector(scenario)
-    return Detector(parameters, build_fixed_pattern(parameters, scenario.seed).single())
+    precision; `camera_seed` replaces the scenario's for that pattern."""
+    parameters, seed = aged_detector(scenario), scenario.seed if camera_seed is None else camera_seed
+    return Detector(parameters, build_fixed_pattern(parameters, seed).single())
 
 
 def detector_parameters(section: DetectorSection) -> DetectorParameters:

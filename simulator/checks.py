@@ -12,7 +12,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simulator.mission.parameters import FILES, OrbitParameters
+import numpy as np
+
+from simulator.mission.parameters import ATTITUDE_FILES, FILES, AttitudeSource, OrbitParameters
 from simulator.scenario import Scenario
 from simulator.scenario.fields import NameChecks
 from startracker.errors import InputError
@@ -82,17 +84,17 @@ def _target(name: Any, keys: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _orbit_file(key: str) -> NameCheck:
-    """Check of a file of the ``orbit`` section, together with the keys that say how it is used."""
+def _orbit_file(key: str, section: str = "orbit") -> NameCheck:
+    """Check of a file of an orbit's section, together with the keys that say how it is used."""
 
     def check(name: Any, keys: Mapping[str, Any]) -> str | None:
         from simulator.mission.trajectories import build_trajectory
 
-        others = {k: keys.get(f"orbit.{k}") for k in FILES}
+        others = {k: keys.get(f"{section}.{k}") for k in FILES}
         if not isinstance(name, str) or "epoch" not in keys or any(others[k] for k in FILES if k != key):
             return None
         plain = ("object", "centre", "frame", "max_age_days")
-        given: dict[str, Any] = {k: keys[f"orbit.{k}"] for k in plain if f"orbit.{k}" in keys}
+        given: dict[str, Any] = {k: keys[f"{section}.{k}"] for k in plain if f"{section}.{k}" in keys}
         try:
             build_trajectory(OrbitParameters(**(given | {key: name})), keys["epoch"])
         except InputError as error:
@@ -102,11 +104,69 @@ def _orbit_file(key: str) -> NameCheck:
     return check
 
 
+def _satellite_file(name: Any, keys: Mapping[str, Any]) -> str | None:
+    """Check of ``sky.satellites.file``, with the objects that have a size of their own."""
+    from simulator.mission.clock import Clock
+    from simulator.sky.parameters import SatelliteParameters
+    from simulator.sky.satellites import load_satellites
+
+    if not isinstance(name, str) or "epoch" not in keys:
+        return None
+    try:
+        given = SatelliteParameters(file=name, objects=keys.get("sky.satellites.objects", ()))
+        load_satellites(given, Clock(keys["epoch"]), Path())  # the loader has made file names absolute
+    except InputError as error:
+        return str(error)
+    return None
+
+
+def _attitude_file(key: str) -> NameCheck:
+    """Check of a file of ``pointing.attitude``, together with the keys that say how it is used."""
+
+    def check(name: Any, keys: Mapping[str, Any]) -> str | None:
+        from simulator.mission.attitudes import attitude_from_file
+        from simulator.mission.clock import Clock
+
+        prefix = "pointing.attitude."
+        given = {k.removeprefix(prefix): value for k, value in keys.items() if k.startswith(prefix)}
+        section = AttitudeSource(**(given | {key: name}))
+        if name is None or "epoch" not in keys or len(section.sources) > 1:
+            return None
+        try:
+            attitude_from_file(section, Clock(keys["epoch"]), np.array([0.0, 0.0, 0.0, 1.0]), Path())
+        except InputError as error:
+            return str(error)
+        return None
+
+    return check
+
+
+def _jitter_series(name: Any, keys: Mapping[str, Any]) -> str | None:
+    """Check of the table of ``pointing.jitter.series``."""
+    from simulator.mission.clock import Clock
+    from simulator.mission.jitter_table import read_jitter
+    from simulator.optics.jitter import Jitter
+
+    if name is None or "epoch" not in keys:
+        return None
+    try:
+        read_jitter(Jitter(series=name), Clock(keys["epoch"]), Path())
+    except InputError as error:
+        return str(error)
+    return None
+
+
+ORBITS = ("orbit", "pointing.track.spacecraft")
+"""Sections of orbits."""
+
 NAME_CHECKS: NameChecks = {
-    **{f"orbit.{key}": _orbit_file(key) for key in FILES},
+    **{f"{section}.{key}": _orbit_file(key, section) for section in ORBITS for key in FILES},
+    **{f"pointing.attitude.{key}": _attitude_file(key) for key in ATTITUDE_FILES},
+    "pointing.jitter.series": _jitter_series,
     "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
     "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
+    "sky.satellites.file": _satellite_file,
     "sky.spectrum": _registered("spectra", "simulator.sky.spectra", "SPECTRA"),
     "optics.transmission": _curve("transmission"),
     "optics.psf.model": _registered("psfs", "simulator.optics.psf", "PSFS"),

@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.optics.jitter import JitterPath
+from simulator.optics.drift import Drift, drifting_paths
+from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from startracker.camera import Camera
@@ -41,7 +42,7 @@ class Motion(NamedTuple):
     """Rotation of the camera during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
 
     rate_rad_s: FloatArray
-    jitter: JitterPath | None = None
+    jitter: JitterMotion | None = None
 
 
 class Paths(NamedTuple):
@@ -88,6 +89,7 @@ class Exposure:
         motion: Motion,
         feature_px: float,
         margin_px: float,
+        drift: Drift | None = None,
     ) -> Paths:
         """Positions of sources during the exposure, and their electrons.
 
@@ -103,13 +105,18 @@ class Exposure:
             Rotation of the camera.
         feature_px, margin_px : float
             Finest structure of the PSF, and margin around the image in which paths are computed.
+        drift : Drift, optional
+            Motion of the sources themselves, in camera axes.
         """
         sampling = (feature_px, margin_px, motion.jitter)
         if self.shutter.kind != "rolling":
+            if drift is not None:
+                return Paths(*drifting_paths(camera, drift, motion.rate_rad_s, self.duration_s, *sampling), electrons)
             xy, weights = star_paths(camera, directions, motion.rate_rad_s, self.duration_s, *sampling)
             return Paths(xy, weights, electrons)
         line_s = self.shutter.line_time_s
-        xy, weights, share = rolling_paths(camera, directions, motion.rate_rad_s, self.duration_s, line_s, *sampling)
+        moving = (motion.rate_rad_s, self.duration_s, line_s, *sampling, drift)
+        xy, weights, share = rolling_paths(camera, directions, *moving)
         return Paths(xy, weights, electrons * share)
 
     def add_transfer_smear(self, mean_e: FloatArray) -> None:

@@ -6,7 +6,7 @@ import io
 import math
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import erfa
 import numpy as np
@@ -26,21 +26,36 @@ from startracker.wcs import wcs_header
 _DISTORTION_KEYS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
+WcsForm = Literal["astrometric", "apparent"]
+
+_WCS_COMMENTS = {
+    "astrometric": ("catalogue positions: aberration removed", "astrometric: without aberration and refraction"),
+    "apparent": ("directions as observed: with aberration", "axes; directions as observed, with aberration"),
+}
+"""Comments of WCSNAME and RADESYS by form."""
+
+
 def write_fits(
-    path: str | Path, frame: Frame, truth: FrameTruth | None = None, *, noiseless_plane: bool = False
+    path: str | Path,
+    frame: Frame,
+    truth: FrameTruth | None = None,
+    *,
+    noiseless_plane: bool = False,
+    wcs: WcsForm = "astrometric",
 ) -> None:
     """Write a frame, atomically.
 
     The header of the primary image (BUNIT adu) has the UTC of the exposure's beginning, middle and end (DATE-BEG,
     DATE-AVG and DATE-OBS, DATE-END; MJD-…), EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys
     under HIERARCH; for programs that estimate the field of view, FOCALLEN, APTDIA, XPIXSZ and YPIXSZ of SBFITSEXT), the
-    observer, the prior attitude and, if the truth is given, a TAN(-SIP) world coordinate system of astrometric ICRS
-    positions (without aberration) at mid-exposure (`startracker.wcs`).
+    observer, the prior attitude and, if the truth is given, a TAN(-SIP) world coordinate system at mid-exposure
+    (`startracker.wcs`), whose form is in WCSNAME: with `wcs` ``astrometric``, catalogue positions (ICRS, without
+    aberration); with ``apparent``, directions as the observer sees them, with aberration (ICRS axes).
 
     The extension TRUTH is a table of the sources, with attitude and rate in its header. `x` and `y` are the positions
     for the true attitude at mid-exposure (of the middle row of a rolling shutter); `x_image` and `y_image` are the
     midpoint of the rendered path during the exposure of the source's own row; `direction` is apparent, `ra` and `dec`
-    are astrometric, as in the WCS. With `noiseless_plane` the extension MEAN_E has the mean photo-electrons.
+    are astrometric, in both forms. With `noiseless_plane` the extension MEAN_E has the mean photo-electrons.
     """
     from astropy.io import fits
 
@@ -54,8 +69,10 @@ def write_fits(
     if truth is not None:
         # a scenario may omit aberration
         velocity = frame.observer.velocity_km_s if frame.parameters.get("sky.aberration", True) else None
-        header.update(wcs_header(frame.camera, truth.attitude, velocity))
-        header.comments["RADESYS"] = "astrometric: without aberration and refraction"
+        header.update(wcs_header(frame.camera, truth.attitude, velocity, wcs))
+        if velocity is not None:
+            header.comments["WCSNAME"] = _WCS_COMMENTS[wcs][0]
+        header.comments["RADESYS"] = _WCS_COMMENTS[wcs][1]
         units.append(_truth_table(truth, velocity))
         if noiseless_plane and truth.mean_electrons is not None:
             units.append(fits.ImageHDU(truth.mean_electrons.astype(np.float32), name="MEAN_E"))
@@ -148,7 +165,7 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
         {
             "id": s.id,
             "name": s.name.astype("U24"),
-            "kind": s.kind.astype("U8"),
+            "kind": s.kind.astype(np.promote_types("U8", s.kind.dtype)),
             "x": s.xy[:, 0],
             "y": s.xy[:, 1],
             "x_image": s.image_xy[:, 0],

@@ -22,18 +22,21 @@ from simulator.light import (
     hidden_stars,
     near_image,
     path_middles,
+    satellite_light,
     star_light,
     star_rates_e_s,
 )
 from simulator.optics.bodies import LAW_OF_BODY, LAWS, LitDisk, draw_body
 from simulator.optics.disk import add_disk
 from simulator.optics.displacement import Displacement
+from simulator.optics.drift import Drift
 from simulator.optics.ghosts import Ghost, ghost_sources
 from simulator.optics.illumination import Vignetting, illumination_map, star_illumination
 from simulator.optics.psf_set import PsfSet
 from simulator.optics.splat import add_stars
 from simulator.optics.stray_light import Baffle, stray_light_e_s_pixel
 from simulator.optics.tether import Tether, TetherPoints, tether_points
+from simulator.optics.thermal import LensTemperature
 from simulator.scene import Scene
 from simulator.sky.apparent import largest_shift_rad
 from simulator.sky.background import diffuse_sky_s10
@@ -90,7 +93,9 @@ class FocalPlane:
     camera: Camera
     """The calibrated camera, as in the frame."""
     true_camera: Camera
-    """The true camera, with which the sky is rendered."""
+    """The true camera, with which the sky is rendered; `at` has that of another time."""
+    temperature: LensTemperature
+    """Temperature of the lens over time."""
     displacement: Displacement
     """Displacement of star images from the positions of the true camera."""
     photometer: Photometer
@@ -110,6 +115,13 @@ class FocalPlane:
     tether: Tether
     """Of the lens, and before it."""
     _half_fields: dict[float, float] = field(default_factory=dict, repr=False)
+
+    def at(self, t_s: float) -> FocalPlane:
+        """The focal plane at the temperature of a time, seconds after the epoch; itself if that is constant."""
+        if self.temperature.swing_k == 0.0:
+            return self
+        camera = self.temperature.camera_at(self.camera, t_s)
+        return replace(self, true_camera=camera, displacement=replace(self.displacement, camera=camera))
 
     def half_field_rad(self, exposure_s: float) -> float:
         """Maximum angle from the boresight, at any moment of the exposure, of sources whose light can reach the
@@ -145,6 +157,8 @@ class FocalPlane:
         paths = paths._replace(xy=self.displacement.moved(paths.xy, light.wavelength_nm))
         self._draw(mean_e, light, xy, paths)
         sources = light.truth(xy, path_middles(paths.xy, paths.weights, xy), seen.electrons)
+        if scene.satellites is not None and len(scene.satellites):
+            sources = sources.joined(self._draw_satellites(mean_e, scene, exposure))
         self._draw_ghosts(mean_e, sources)
         if self.faint_sky is not None:
             self._draw_faint_stars(mean_e, self.faint_sky, scene, exposure)
@@ -222,6 +236,25 @@ class FocalPlane:
             chosen = points[members]
             xy = np.ascontiguousarray(paths.xy[chosen])
             add_stars(mean_e, xy, paths.weights, paths.electrons[chosen] * share, psf)
+
+    def _draw_satellites(self, mean_e: FloatArray, scene: Scene, exposure: Exposure) -> TrueSources:
+        """Satellites along their own paths; returns those whose light reaches the detector."""
+        near, camera, photometer = scene.satellites, self.true_camera, self.photometer
+        assert near is not None
+        rate_e_s = photometer.body_electrons_per_s(np.full(len(near), "Sun"), near.v_mag)
+        extent_rad = near.angular_radius_rad + near.rate_rad_s * exposure.duration_s
+        seen = self._reaching(scene, near.direction, rate_e_s, exposure, extent_rad)
+        near = near.select(seen.rows)
+        light = satellite_light(scene, near, rate_e_s[seen.rows], camera, photometer, self.sky)
+        drift = Drift(near.path_km @ scene.pointing.camera.as_matrix().T)
+        margin_px = _EDGE_MARGIN_PX + float(np.max(light.radius_rad, initial=0.0)) / camera.pixel_rad
+        motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
+        sampling = (motion, self.psfs.feature_px, margin_px)
+        paths = exposure.paths(camera, seen.in_camera, seen.electrons, *sampling, drift=drift)
+        xy = self.displacement.moved(seen.xy, light.wavelength_nm)
+        paths = paths._replace(xy=self.displacement.moved(paths.xy, light.wavelength_nm))
+        self._draw(mean_e, light, xy, paths)
+        return light.truth(xy, path_middles(paths.xy, paths.weights, xy), seen.electrons)
 
     def _draw_faint_stars(self, mean_e: FloatArray, sky: FaintSky, scene: Scene, exposure: Exposure) -> None:
         """Stars beyond the catalogue, of the Sun's colour."""

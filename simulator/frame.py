@@ -78,11 +78,11 @@ class TrueSources:
     """Stars and bodies in or near the field, as columns of equal length N."""
 
     id: NDArray[np.int64]
-    """Catalogue number; 0 for bodies of the solar system."""
+    """Catalogue number of a star or a satellite; 0 for bodies of the solar system."""
     name: NDArray[np.str_]
-    """Star or body."""
+    """Star, body or satellite."""
     kind: NDArray[np.str_]
-    """``star``, ``planet``, ``moon`` or ``sun``."""
+    """``star``, ``planet``, ``moon``, ``sun`` or ``satellite``."""
     xy: FloatArray
     """(N, 2): Pixel at mid-exposure for the true attitude."""
     image_xy: FloatArray
@@ -111,6 +111,10 @@ class TrueSources:
         """Mask (N,) of stars."""
         return np.asarray(self.kind == "star")
 
+    def joined(self, other: TrueSources) -> TrueSources:
+        """These sources followed by others."""
+        return TrueSources(*(np.concatenate([getattr(s, c.name) for s in (self, other)]) for c in fields(self)))
+
     def select(self, rows: NDArray[np.int64]) -> TrueSources:
         """Selection of sources by index array."""
         return TrueSources(**{column.name: getattr(self, column.name)[rows] for column in fields(self)})
@@ -123,7 +127,7 @@ class FrameTruth:
     attitude: Attitude
     """ICRS to camera."""
     mounting: Attitude
-    """Body to camera."""
+    """True body to camera."""
     rate_camera_rad_s: FloatArray
     """(3,): Inertial angular velocity in camera axes."""
     t_s: float
@@ -138,6 +142,9 @@ class FrameTruth:
     """Stated minus true time of mid-exposure."""
     particles_cm2_s: float = 0.0
     """Rate of charged particles through the surface of the detector."""
+    mounting_rotation_rad: FloatArray | None = None
+    """(3,): Thermo-elastic rotation vector of the mounting, camera axes, which `mounting` contains; None if there is
+    none."""
 
     @property
     def attitude_at_tag(self) -> Attitude:

@@ -14,11 +14,13 @@ from simulator.scene import NEAR_BODY_RAD, Scene
 from simulator.sky.earth import has_disk, limbs, occulted, unhidden
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
+from simulator.sky.satellites import Satellites
 from simulator.sky.solar_system import Bodies
+from simulator.sky.spectra import SOLAR_B_V
 from startracker.camera import Camera
 from startracker.kernels import kernel
 
-__all__ = ["Light", "body_light", "hidden_stars", "near_image", "path_middles", "star_light"]
+__all__ = ["Light", "body_light", "hidden_stars", "near_image", "path_middles", "satellite_light", "star_light"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -131,6 +133,28 @@ def body_light(
         sun_angle_rad=angles(scene.sun_direction),
         limb=limb,
         wavelength_nm=photometer.body_wavelength_nm(bodies.name),
+    )
+
+
+def satellite_light(
+    scene: Scene, satellites: Satellites, rate_e_s: FloatArray, camera: Camera, photometer: Photometer, sky: Sky
+) -> Light:
+    """Satellites as sources of sunlight, with the phase on the disks of those near by."""
+    count, attitude, direction = len(satellites), scene.pointing.camera, satellites.direction
+    return Light(
+        id=satellites.number,
+        name=satellites.name,
+        kind=np.full(count, "satellite"),
+        direction=direction,
+        v_mag=satellites.v_mag,
+        b_v=np.full(count, SOLAR_B_V),
+        variable=np.zeros(count, dtype=bool),
+        rate_e_s=rate_e_s,
+        radius_rad=satellites.angular_radius_rad,
+        lit=satellites.illuminated_fraction if sky.phases else np.ones(count),
+        sun_angle_rad=np.array([sun_angle_rad(camera, attitude, one, scene.sun_direction) for one in direction]),
+        limb=np.tile(NO_LIMB, (count, 1)),
+        wavelength_nm=photometer.body_wavelength_nm(np.full(count, "Sun")),
     )
 
 

@@ -18,6 +18,12 @@ Streams = Callable[[str], np.random.Generator]
 """Returns the generator of a stage by its name."""
 
 
+def seed_of(seed: int, stage: str, name: str) -> int:
+    """Seed of one of several named objects, such as the cameras of a spacecraft; from 0 to 2⁶³ − 1."""
+    key = np.random.SeedSequence(entropy=seed, spawn_key=(zlib.crc32(stage.encode()), zlib.crc32(name.encode())))
+    return int(key.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
 def stream(seed: int, stage: str, trial: int = DEVICE) -> np.random.Generator:
     """Independent generator of one stage of one trial.
 

@@ -20,7 +20,7 @@ from simulator.detector.readout import electronics_noise_e
 from simulator.exposure import Exposure
 from simulator.focal_plane import Illumination
 from simulator.frame import Frame, FrameTruth
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
 from simulator.scene import GivenState, Scene
@@ -57,6 +57,9 @@ class Renderer:
     ----------
     scenario : Scenario
         The scenario.
+    camera_seed : int, optional
+        Seed of the camera's own properties and of the noise of its frames, instead of the scenario's: one of several
+        cameras under the same sky.
 
     Raises
     ------
@@ -64,14 +67,15 @@ class Renderer:
         For invalid names or files in the scenario.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, camera_seed: int | None = None) -> None:
         self.scenario = scenario
+        self.seed = scenario.seed if camera_seed is None else camera_seed
         self.exposure_s = scenario.detector.exposure_s
         self.shutter = shutter_of(scenario.detector)
         self.scenes = build_scenes(scenario)
-        self.focal_plane = build_focal_plane(scenario)
+        self.focal_plane = build_focal_plane(scenario, self.seed)
         self.camera = self.focal_plane.camera
-        self.detector = build_detector(scenario)
+        self.detector = build_detector(scenario, self.seed)
         self.transients = build_transients(scenario)
         self.parameters = flat_parameters(scenario)
         device = self.detector.parameters
@@ -87,7 +91,7 @@ class Renderer:
         at_s: float | None = None,
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
-        jitter: JitterPath | None = None,
+        jitter: JitterMotion | None = None,
         exposure_s: float | None = None,
     ) -> Scene:
         """Scene of trial `index`; parameters as in `frame`."""
@@ -100,7 +104,7 @@ class Renderer:
     def expose(self, scene: Scene, exposure_s: float | None = None) -> Illumination:
         """Mean photo-electrons of a scene, before the detector."""
         exposure = Exposure.about(scene.t_s, exposure_s or self.exposure_s, self.shutter)
-        return self.focal_plane.expose(scene, exposure)
+        return self.focal_plane.at(scene.t_s).expose(scene, exposure)
 
     def frame(
         self,
@@ -109,7 +113,7 @@ class Renderer:
         at_s: float | None = None,
         attitude: Attitude | None = None,
         rate_camera_rad_s: ArrayLike | None = None,
-        jitter: JitterPath | None = None,
+        jitter: JitterMotion | None = None,
         exposure_s: float | None = None,
     ) -> tuple[Frame, FrameTruth]:
         """Frame and truth of trial `index`; parameters as in `render`.
@@ -152,7 +156,7 @@ class Renderer:
             prior=scene.pointing.prior if scenario.tracker.prior else None,
             prior_deg=max(scenario.pointing.error_deg, _LEAST_PRIOR_DEG),
             scenario=scenario.name,
-            seed=scenario.seed,
+            seed=self.seed,
             index=index,
             parameters=self.parameters | {"detector.exposure_s": duration_s},
         )
@@ -166,6 +170,7 @@ class Renderer:
             excluded=light.excluded,
             time_tag_error_s=late_s,
             particles_cm2_s=self._particles_cm2_s(moment),
+            mounting_rotation_rad=scene.pointing.mounting_rotation_rad,
         )
         return frame, truth
 
@@ -181,7 +186,7 @@ class Renderer:
         return sum(rays.rate_cm2_s for rays in (device if moment.particles is None else moment.particles))
 
     def _streams(self, index: int) -> Streams:
-        return functools.partial(_stream_of_trial, self.scenario.seed, index)
+        return functools.partial(_stream_of_trial, self.seed, index)
 
 
 def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
@@ -198,6 +203,8 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
             flat[prefix] = value
 
     resolved = scenario.resolved()
+    if scenario.pointing.track.target is None:
+        del resolved["pointing"]["track"]  # some forty keys of another orbit
     sections = ("orbit", "pointing", "sky", "tether", "optics", "detector", "environment")
     walk("", {name: resolved[name] for name in sections})
     return flat

@@ -12,31 +12,38 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.mission.attitude_law import AttitudeLaw, common_span_s
 from simulator.mission.clock import Clock
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.pointing import (
     Pointing,
+    deformed,
     hold,
     mounting_of,
     point,
     point_at_random,
+    point_by,
     point_spinning,
     round_s,
     turned_to,
 )
 from simulator.mission.sampling import trial_time_s
-from simulator.mission.trajectory import Trajectory
-from simulator.optics.jitter import JitterPath, Spectrum, draw_jitter
+from simulator.mission.thermo_elastic import angle_from_noon_rad, mounting_rotation_rad
+from simulator.mission.trajectory import Trajectory, geocentric
+from simulator.optics.jitter import Spectrum, camera_axes, draw_jitter
+from simulator.optics.jitter_series import JitterMotion, JitterSeries, SampledJitter
 from simulator.randomness import Streams
 from simulator.sky.apparent import SkyIndex, by_declination, largest_shift_rad
 from simulator.sky.colours import spectral_coordinates
 from simulator.sky.instants import Instant, Instants
 from simulator.sky.parameters import Sky
+from simulator.sky.satellites import Look, SatelliteList, Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.observer import Observer
@@ -66,7 +73,7 @@ class Scene:
     """(3,): Unit vector from the spacecraft to the Sun, without aberration."""
     pointing: Pointing
     """Attitudes and rate; with jitter the true attitude is the mean over the exposure."""
-    jitter: JitterPath | None
+    jitter: JitterMotion | None
     """Rotation of the camera relative to that attitude during the exposure."""
     streak_rad: float
     """Rotation angle of the camera during the exposure."""
@@ -81,6 +88,8 @@ class Scene:
     """(N,): Colour and class of their spectra (`simulator.sky.colours`)."""
     bodies: Bodies
     """Sun, Moon and planets, also outside the field."""
+    satellites: Satellites | None = None
+    """Sunlit satellites in and around the field; None if the sky has none."""
 
     __repr__ = fields_repr
 
@@ -99,7 +108,7 @@ class GivenState(NamedTuple):
     """True attitude of the camera."""
     rate_camera_rad_s: ArrayLike | None = None
     """(3,): Inertial angular velocity in camera axes, for a given attitude."""
-    jitter: JitterPath | None = None
+    jitter: JitterMotion | None = None
     """Jitter of a sequence relative to this mid-exposure."""
 
 
@@ -115,6 +124,10 @@ class SceneParameters:
     spectrum: Spectrum
     sky: Sky
     """Mounting, attitude law and jitter; spectrum of the jitter; contents of the sky."""
+    series: JitterSeries | None = None
+    """Jitter as a time series."""
+    exposure_margin_s: float = 0.0
+    """Time beyond an exposure in which a rolling shutter exposes rows."""
 
 
 class SceneBuilder:
@@ -126,6 +139,10 @@ class SceneBuilder:
         Pointing and sky.
     orbit : Trajectory
         Trajectory of the spacecraft.
+    law : AttitudeLaw, optional
+        Attitude law of the body (`simulator.mission.attitudes`).
+    satellites : SatelliteList, optional
+        Other satellites.
 
     Raises
     ------
@@ -133,9 +150,19 @@ class SceneBuilder:
         For a target that is not in the sky.
     """
 
-    def __init__(self, parameters: SceneParameters, orbit: Trajectory) -> None:
+    def __init__(
+        self,
+        parameters: SceneParameters,
+        orbit: Trajectory,
+        law: AttitudeLaw | None = None,
+        satellites: SatelliteList | None = None,
+    ) -> None:
         self.parameters = parameters
         self.orbit = orbit
+        self.law = law
+        self.satellites = satellites
+        self.span_s = common_span_s(orbit.span_s, *([law.span_s] if law else []))
+        """First and last time of trajectory and attitudes, seconds after the epoch."""
         self.clock: Clock = orbit.clock
         self._round_s = round_s(parameters.pointing, orbit.period_s)
         seen = parameters.sky
@@ -157,8 +184,8 @@ class SceneBuilder:
         block, row = divmod(index, BLOCK_TRIALS)
         if block not in self._blocks:
             indices = np.arange(block * BLOCK_TRIALS, (block + 1) * BLOCK_TRIALS)
-            given, span_s = self.parameters, self.orbit.span_s
-            t_s = trial_time_s(given.sampling, given.seed, indices, self._round_s, span_s)
+            given = self.parameters
+            t_s = trial_time_s(given.sampling, given.seed, indices, self._round_s, self.span_s)
             self._blocks = {block: Instants.of(self.orbit, t_s, self.parameters.sky)}
         return self._blocks[block].at(row)
 
@@ -223,7 +250,29 @@ class SceneBuilder:
             star_b_v=self._b_v[rows],
             star_giant=self._giant[rows],
             bodies=now.bodies,
+            satellites=self._satellites(now, boresight, reach_rad, exposure_s),
         )
+
+    def _satellites(
+        self, now: Instant, boresight: FloatArray, reach_rad: float, exposure_s: float
+    ) -> Satellites | None:
+        """Satellites in and around the field; None if the sky has none."""
+        if self.satellites is None:
+            return None
+        observer = now.observer
+        assert observer.velocity_km_s is not None
+        assert observer.position_au is not None
+        look = Look(
+            now.t_s,
+            exposure_s + self.parameters.exposure_margin_s,
+            lambda t_s: geocentric(self.orbit, t_s),
+            self.orbit.span_s,
+            observer.velocity_km_s - now.v_km_s,
+            (now.sun_au - observer.position_au) * AU_KM + now.r_km,
+            boresight,
+            reach_rad,
+        )
+        return self.satellites.near(look, self.parameters.sky)
 
     def _pointing(self, now: Instant, rng: np.random.Generator, given: GivenState) -> Pointing:
         """True attitude and rate, without jitter."""
@@ -234,11 +283,29 @@ class SceneBuilder:
             pointing = point_spinning(law, now.t_s, rng)
         elif self.parameters.sampling == "sky" and given.at_s is None:
             pointing = point_at_random(law, rng, math.tau / self.orbit.period_s)
+        elif self.law is not None:
+            pointing = point_by(law, self.law, now.t_s, rng)
         else:
             pointing = point(law, now.r_centre_km, now.v_centre_km_s, rng)
+        pointing = deformed(pointing, self._mounting_rotation_rad(now))
         if given.attitude is not None:
             pointing = turned_to(pointing, given.attitude, given.rate_camera_rad_s)
         return pointing
+
+    def mounting_rotation_rad(self, t_s: float) -> FloatArray | None:
+        """Thermo-elastic rotation vector (3,) of the mounting, camera axes, seconds after the epoch; None if there is
+        none."""
+        return self._mounting_rotation_rad(self._instant_at(t_s))
+
+    def _mounting_rotation_rad(self, now: Instant) -> FloatArray | None:
+        given = self.parameters.pointing.thermo_elastic
+        if not any(given.amplitude_arcsec):
+            return None
+        if given.reference == "node":
+            return mounting_rotation_rad(given, math.radians(now.orbit_argument_deg))
+        assert now.observer.position_au is not None
+        to_sun = now.sun_au - now.observer.position_au
+        return mounting_rotation_rad(given, angle_from_noon_rad(now.r_centre_km, now.v_centre_km_s, to_sun))
 
     def _refuse_near_surface(self, now: Instant, boresight: FloatArray, reach_rad: float) -> None:
         """`InputError` if a surface that fills much of the sky, other than the Earth's, may be in the field."""
@@ -252,18 +319,29 @@ class SceneBuilder:
                     "camera away from it (pointing.mounting: zenith)"
                 )
 
-    def draw_jitter(self, rng: np.random.Generator) -> JitterPath | None:
-        """One realisation of the jitter, None if there is none."""
+    def sequence_jitter(self, rng: np.random.Generator, start_s: float) -> JitterMotion | None:
+        """Jitter of a sequence relative to its first mid-exposure at `start_s`, None if there is none."""
         given = self.parameters
-        return draw_jitter(given.pointing.jitter, given.spectrum, rng, mounting_of(given.pointing).as_matrix())
+        jitter, matrix = given.pointing.jitter, mounting_of(given.pointing).as_matrix()
+        if given.series is not None:
+            return SampledJitter(given.series, start_s, camera_axes(jitter, matrix))
+        return draw_jitter(jitter, given.spectrum, rng, matrix, over_sequence=True)
+
+    def _frame_jitter(self, rng: np.random.Generator, exposure_s: float) -> JitterMotion | None:
+        """Jitter of a single frame, None if there is none."""
+        given = self.parameters
+        jitter, matrix = given.pointing.jitter, mounting_of(given.pointing).as_matrix()
+        if given.series is not None:
+            return given.series.section(jitter, rng, exposure_s + given.exposure_margin_s, matrix)
+        return draw_jitter(jitter, given.spectrum, rng, matrix)
 
     def _shaken(
-        self, pointing: Pointing, streams: Streams, jitter: JitterPath | None, exposure_s: float
-    ) -> tuple[Pointing, JitterPath | None]:
+        self, pointing: Pointing, streams: Streams, jitter: JitterMotion | None, exposure_s: float
+    ) -> tuple[Pointing, JitterMotion | None]:
         """True attitude including the mean jitter over the exposure, and the remaining jitter about it."""
         if self.parameters.pointing.jitter.is_off:
             return pointing, None
-        jitter = jitter or self.draw_jitter(streams("jitter"))
+        jitter = jitter or self._frame_jitter(streams("jitter"), exposure_s)
         if jitter is None:
             return pointing, None
         mean = Attitude.from_rotation_vector(jitter.mean(exposure_s), "camera", "camera")

@@ -12,7 +12,7 @@ from startracker._version import __version__
 if TYPE_CHECKING:
     from startracker.attitude import Attitude
     from startracker.blind import solve_unknown_fov
-    from startracker.calibration import Calibration, StarField, calibrate
+    from startracker.calibration import Calibration, InFlightCalibration, StarField, calibrate
     from startracker.camera import Camera
     from startracker.catalog import load_catalog
     from startracker.catalog.stars import StarCatalog
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         CentroidSettings,
         DetectionSettings,
         IdentificationSettings,
+        InFlightSettings,
         MatchGroupSettings,
         PatternHashSettings,
         PyramidSettings,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from startracker.solution import MatchedStars, Solution, Status
     from startracker.trace import Step
     from startracker.tracker import StarTracker
-    from startracker.tracking import GyroNoise, Mekf, RateNoise, TrackingSession, TrackingState
+    from startracker.tracking import CalibratedSession, GyroNoise, Mekf, RateNoise, TrackingSession, TrackingState
     from startracker.wcs import wcs_header
 
 
@@ -42,6 +43,7 @@ __all__ = [
     "AdaptiveSettings",
     "Attitude",
     "BoresightError",
+    "CalibratedSession",
     "Calibration",
     "Camera",
     "CentroidSettings",
@@ -49,6 +51,8 @@ __all__ = [
     "Distortion",
     "GyroNoise",
     "IdentificationSettings",
+    "InFlightCalibration",
+    "InFlightSettings",
     "InputError",
     "LoadedImage",
     "MatchGroupSettings",
@@ -80,6 +84,7 @@ __all__ = [
 _HOME = {
     "Attitude": "attitude",
     "BoresightError": "errors",
+    "CalibratedSession": "tracking",
     "Calibration": "calibration",
     "Camera": "camera",
     "CentroidSettings": "settings",
@@ -87,6 +92,8 @@ _HOME = {
     "Distortion": "distortion",
     "GyroNoise": "tracking",
     "IdentificationSettings": "settings",
+    "InFlightCalibration": "calibration",
+    "InFlightSettings": "settings",
     "AdaptiveSettings": "settings",
     "MatchGroupSettings": "settings",
     "PatternHashSettings": "settings",

@@ -84,7 +84,7 @@ class FieldOfStars:
 
 def mark_others(ax: Axes, solution: Solution, labels: Labels) -> None:
     """Mark the detections without an identified star."""
-    matched = {tuple(xy) for xy in solution.stars.xy}
+    matched = {tuple(xy) for xy in (*solution.stars.xy, *solution.bodies.xy)}
     others = np.array([xy for xy in solution.centroids if tuple(xy) not in matched]).reshape(-1, 2)
     if len(others):
         ax.plot(*others.T, "s", ms=6, mfc="none", mec=UNMATCHED, mew=0.7, label=f"detected only ({len(others)})")

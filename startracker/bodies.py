@@ -1,37 +1,190 @@
-"""Directions of the Sun, the Moon and the planets at an epoch, to mark them on a picture."""
+"""Sun, Moon and planets among the detected objects: their directions at an epoch, and which centroids are theirs."""
 
 from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
-from startracker.ephemeris import DE421_NAME, astrometric_au, barycentric, timescale
+from startracker.camera import Camera
+from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEED_OF_LIGHT_KM_S
+from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
+from startracker.errors import InputError
 from startracker.observer import Observer, aberrate
 
-__all__ = ["body_directions"]
+__all__ = ["NO_BODIES", "SeenBodies", "beside_bodies", "body_directions", "seen_bodies"]
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_NAIF = {
+    "Mercury": (1, 199),
+    "Venus": (2, 299),
+    "Mars": (4, 499),
+    "Jupiter": (5,),
+    "Saturn": (6,),
+    "Uranus": (7,),
+    "Neptune": (8,),
+    "Sun": (10,),
+    "Moon": (3, 301),
+    "Earth": (3, 399),
+}
+"""Path of each body from the barycentre of the solar system in DE421's numbers; Moon and Earth are the last."""
+_FROM_ANYWHERE, _FROM_EARTH, _EARTH = tuple(_NAIF)[:-1], tuple(_NAIF)[:-2], len(_NAIF) - 1
+_STEP_DAYS = 0.5
+"""Step of the table: a cubic through positions and velocities is within 0.2 km of the Moon and 4 km of Mercury."""
+_TABLE_DAYS = 366.0
+_LIGHT_DAY_AU = SPEED_OF_LIGHT_KM_S * 86_400.0 / AU_KM
+_BODY_PX = 3.0
+"""Maximum distance of a planet's centroid from its prediction, as of a star's (`startracker.refine.NAMED_PX`)."""
+_RADIUS_RAD = {"Sun": math.radians(0.28), "Moon": math.radians(0.29)}
+_PLANET_RAD = math.radians(33.0 / 3600.0)
+"""Largest apparent radii from near the Earth; Venus has the largest of the planets."""
+_PARALLAX_RAD = math.radians(35.0 / 3600.0)
+"""Largest parallax of a planet between the Earth's centre and an observer on or near the ground: Venus at 0.26 au."""
+
+
+class SeenBodies(NamedTuple):
+    """Detected Sun, Moon and planets, as columns of equal length B."""
+
+    name: NDArray[np.str_]
+    """English names."""
+    centroid: IntArray
+    """Row of the centroid of each."""
+    xy: FloatArray
+    """(B, 2): Their centroids, pixels."""
+    residual_px: FloatArray
+    """(B, 2): Measured minus predicted."""
+
+
+NO_BODIES = SeenBodies(np.empty(0, np.str_), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+"""No bodies."""
 
 
 def body_directions(observer: Observer) -> dict[str, FloatArray]:
-    """Unit vectors (3,), ICRS, of the bodies seen by an observer, with light time.
+    """Unit vectors (3,), ICRS, of the bodies seen by an observer, with light time to first order.
 
     Aberration is included if the velocity is known, as in the directions that a tracker is given.
     Without a position the observer is at the Earth's centre, from which the Moon is up to 1° away from where it is seen
-    on the ground; it is then left out.
+    on the ground; it is then left out. From DE421, within 0.1″ of Skyfield.
 
     Raises
     ------
     InputError
         If the ephemeris (DE421: 1899-07-29 to 2053-10-09) does not cover the epoch.
     """
-    time = timescale().tt_jd(J2000_JD_TT + DAYS_PER_JULIAN_YEAR * (observer.epoch_jyear - 2000.0))
-    earth_au = barycentric("Earth", time).xyz.au
-    unknown = {"Earth"} if observer.position_au is not None else {"Earth", "Moon"}
-    names = [name for name in DE421_NAME if name not in unknown]
-    offsets = astrometric_au(names, time, earth_au if observer.position_au is None else observer.position_au)
-    directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
+    return dict(zip(*_directions(observer), strict=True))
+
+
+def _directions(observer: Observer) -> tuple[tuple[str, ...], FloatArray]:
+    """Names, and directions (B, 3), of `body_directions`."""
+    jd = J2000_JD_TT + DAYS_PER_JULIAN_YEAR * (observer.epoch_jyear - 2000.0)
+    if not DE421_SPAN_JD[0] + _STEP_DAYS < jd < DE421_SPAN_JD[1] - _STEP_DAYS:
+        raise InputError(outside_ephemeris(jd))
+    position, velocity = _states_au(jd)
+    here, names = observer.position_au, _FROM_ANYWHERE
+    if here is None:
+        here, names = position[_EARTH], _FROM_EARTH
+    offset, velocity = position[: len(names)] - here, velocity[: len(names)]
+    light_days = np.sqrt(np.sum(offset**2, axis=1)) / _LIGHT_DAY_AU
+    offset = offset - velocity * light_days[:, None]
+    directions = offset / np.sqrt(np.sum(offset**2, axis=1))[:, None]
     if observer.velocity_km_s is not None:
         directions = aberrate(directions, observer.velocity_km_s)
-    return dict(zip(names, directions, strict=True))
+    return names, directions
+
+
+def seen_bodies(
+    xy: FloatArray,
+    camera: Camera,
+    matrix: FloatArray,
+    observer: Observer | None,
+    stars: tuple[IntArray, FloatArray],
+) -> SeenBodies:
+    """The centroids that are a body of the solar system, by its ephemeris.
+
+    A centroid is a body's if it is the nearest to the predicted position, within 3 px and the radius of the disk, and
+    farther from the star with which it is identified, if any.
+
+    Parameters
+    ----------
+    xy : (N, 2) array
+        Centroids, pixels.
+    camera : Camera
+        Camera of the image.
+    matrix : (3, 3) array
+        ICRS to camera.
+    observer : Observer, optional
+        Its epoch, velocity and position; none, or a date outside DE421: no bodies.
+    stars : tuple
+        Rows (M,) of the identified centroids, and their distances (M,) from the stars, pixels.
+    """
+    if observer is None or not len(xy):
+        return NO_BODIES
+    try:
+        names, directions = _directions(observer)
+    except InputError:
+        return NO_BODIES
+    off_axis = directions @ matrix[2]
+    near = np.flatnonzero(off_axis > math.cos(camera.half_diagonal_rad)).tolist()
+    if not near:
+        return NO_BODIES
+    from_star = dict(zip(stars[0].tolist(), stars[1].tolist(), strict=True))
+    found = []
+    for k in near:
+        predicted = camera.project((directions[k] @ matrix.T)[None])[0]
+        reach_rad = _RADIUS_RAD.get(names[k], _PLANET_RAD)
+        if observer.position_au is None:
+            reach_rad += _PARALLAX_RAD
+        away = np.hypot(xy[:, 0] - predicted[0], xy[:, 1] - predicted[1])
+        row = int(np.argmin(away))
+        if away[row] <= _BODY_PX + reach_rad / camera.pixel_rad and away[row] < from_star.get(row, math.inf):
+            found.append((names[k], row, xy[row], xy[row] - predicted))
+    return SeenBodies(*(np.array(column) for column in zip(*found, strict=True))) if found else NO_BODIES
+
+
+def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: float) -> NDArray[np.bool_]:
+    """Which apparent directions (N, 3) are so close to a body of the solar system that its image may be taken for that
+    of a star there: within 6 px and the radius of the disk; none without an observer or for a date outside DE421."""
+    beside = np.zeros(len(directions), dtype=bool)
+    if observer is None:
+        return beside
+    try:
+        names, bodies = _directions(observer)
+    except InputError:
+        return beside
+    reach_rad = np.array([_RADIUS_RAD.get(name, _PLANET_RAD) for name in names]) + 2.0 * _BODY_PX * pixel_rad
+    return np.asarray((directions @ bodies.T > np.cos(reach_rad)).any(axis=1))
+
+
+def _states_au(jd: float) -> tuple[FloatArray, FloatArray]:
+    """Barycentric positions (10, 3), au, and velocities (10, 3), au a day, of the bodies, ICRF axes, at one date; by
+    cubics through a table."""
+    first_jd, table = _table(math.floor((jd - J2000_JD_TT) / _TABLE_DAYS))
+    node, u = divmod((jd - first_jd) / _STEP_DAYS, 1.0)
+    (p0, s0), (p1, s1) = table[int(node)], table[int(node) + 1]
+    change = p1 - p0
+    left, right = s0 - change, s1 - change
+    position = p0 + u * change + u * (1.0 - u) * ((1.0 - u) * left - u * right)
+    slope = change + (1.0 - u) * (1.0 - 3.0 * u) * left - u * (2.0 - 3.0 * u) * right
+    return position, slope / _STEP_DAYS
+
+
+@functools.lru_cache(maxsize=4)
+def _table(number: int) -> tuple[float, FloatArray]:
+    """First date of the year of this number from J2000, and the table (T, 2, 10, 3) of barycentric positions of the
+    bodies, au, and of their changes in a step."""
+    from jplephem.spk import SPK
+
+    first_jd = J2000_JD_TT + _TABLE_DAYS * number
+    jd = first_jd + _STEP_DAYS * np.arange(round(_TABLE_DAYS / _STEP_DAYS) + 2)
+    segments: dict[int, FloatArray] = {}
+    with SPK.open(str(de421_file())) as kernel:
+        for segment in kernel.segments:
+            position_km, velocity_km_day = segment.compute_and_differentiate(np.clip(jd, *DE421_SPAN_JD))
+            segments[segment.target] = np.stack([position_km, velocity_km_day * _STEP_DAYS]) / AU_KM
+    paths = [np.sum([segments[number] for number in path], axis=0) for path in _NAIF.values()]
+    return first_jd, np.ascontiguousarray(np.array(paths).transpose(3, 1, 0, 2))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,16 @@ from numpy.typing import NDArray
 from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.errors import InputError
 
-__all__ = ["DE421_NAME", "astrometric_au", "barycentric", "de421", "timescale"]
+__all__ = [
+    "DE421_NAME",
+    "DE421_SPAN_JD",
+    "astrometric_au",
+    "barycentric",
+    "de421",
+    "de421_file",
+    "outside_ephemeris",
+    "timescale",
+]
 
 FloatArray = NDArray[np.float64]
 
@@ -36,6 +46,22 @@ DE421_NAME = {
 }
 """Name of each body in the ephemeris. Jupiter to Neptune: the barycentre with the moons, within 0.1″ of the planet."""
 
+DE421_SPAN_JD = (2_414_864.5, 2_471_184.5)
+"""First and last Julian date of the ephemeris."""
+
+
+def de421_file() -> Path:
+    """The file of the ephemeris."""
+    return Path(str(files("skyfield_data") / "data" / "de421.bsp"))
+
+
+def outside_ephemeris(jd: float) -> str:
+    """Message about a date outside the ephemeris."""
+    return (
+        f"the ephemeris DE421 covers 1899-07-29 to 2053-10-09; Julian date {jd:.2f} (year "
+        f"{2000 + (jd - J2000_JD_TT) / DAYS_PER_JULIAN_YEAR:.1f}) is outside: choose an epoch within"
+    )
+
 
 @functools.cache
 def de421() -> Any:
@@ -48,7 +74,7 @@ def de421() -> Any:
     """
     from skyfield.jpllib import SpiceKernel
 
-    path = files("skyfield_data") / "data" / "de421.bsp"
+    path = de421_file()
     try:
         return SpiceKernel(str(path))
     except (OSError, ValueError, KeyError) as error:
@@ -77,10 +103,7 @@ def barycentric(body: str, time: Any) -> Any:
         return de421()[DE421_NAME[body]].at(time)
     except EphemerisRangeError:
         farthest = max(np.atleast_1d(time.tdb), key=lambda jd: abs(jd - J2000_JD_TT))
-        raise InputError(
-            f"the ephemeris DE421 covers 1899-07-29 to 2053-10-09; Julian date {farthest:.2f} (year "
-            f"{2000 + (farthest - J2000_JD_TT) / DAYS_PER_JULIAN_YEAR:.1f}) is outside: choose an epoch within"
-        ) from None
+        raise InputError(outside_ephemeris(farthest)) from None
 
 
 def astrometric_au(bodies: Iterable[str], time: Any, position_au: FloatArray) -> FloatArray:

@@ -163,7 +163,8 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
     if not solution.solved or camera is None:
         return ()
     length = np.hypot(*stars.residual_px.T)
-    left, named = len(solution.centroids) - len(solution.stars), len(solution.stars) - len(stars)
+    bodies = solution.bodies.name.tolist()
+    left, named = len(solution.centroids) - len(solution.stars) - len(bodies), len(solution.stars) - len(stars)
     steps = [
         Step(
             "attitude",
@@ -174,6 +175,8 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
     ]
     if named:
         steps.append(Step("attitude", f"{named} identified stars not used: residual not explained by their error"))
+    if bodies:
+        steps.append(Step("attitude", f"recognised by ephemeris and not used: {', '.join(bodies)}"))
     if left:
         steps.append(Step("attitude", f"{left} detections not used: no guide star nearby"))
     if solution.covariance is not None:

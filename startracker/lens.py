@@ -18,6 +18,7 @@ __all__ = [
     "PARAMETERS",
     "by_turn",
     "change_lens",
+    "corner_radius",
     "is_one_to_one",
     "only",
     "plain",
@@ -50,7 +51,7 @@ def prior_of(name: str, camera: Camera) -> tuple[float, float]:
         return 0.0, _ASPECT_SIGMA
     if name in ("cx", "cy"):
         return ((camera.width if name == "cx" else camera.height) - 1) / 2, _CENTRE_SHARE * camera.width
-    corner = _corner(camera)
+    corner = corner_radius(camera)
     if name in ("p1", "p2"):
         return 0.0, _TANGENTIAL_SHARE / corner
     return 0.0, _RADIAL_SHARE / corner ** (2 * int(name[1:]))
@@ -182,7 +183,7 @@ def _fisheye(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[str,
     return outward * radius[:, None], powers, by_vector
 
 
-def _corner(camera: Camera) -> float:
+def corner_radius(camera: Camera) -> float:
     """Radius of the farthest corner in focal lengths."""
     return math.hypot(
         max(camera.cx, camera.width - 1 - camera.cx) / camera.fx,
@@ -196,7 +197,7 @@ def is_one_to_one(camera: Camera) -> bool:
     For a pinhole r (1 + k1 r² + k2 r⁴ + k3 r⁶) must reach the corner before its maximum; the image circle of a fisheye
     may be smaller than the image.
     """
-    corner, lens = _corner(camera), camera.distortion
+    corner, lens = corner_radius(camera), camera.distortion
     if camera.projection != "pinhole":
         return corner < 3.0 * math.pi
     reach = np.linspace(0.0, 4.0, 400) ** 2  # to 76° off the axis

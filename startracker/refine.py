@@ -48,7 +48,7 @@ _FEWEST_TO_REJECT = 4
 _ROUNDS = 4
 _MOST_FIT = 0.85
 """Minimum fraction of identified stars that fit; fewer than one in ten are blends."""
-NAMED_PX, BY_CHANCE = 3.0, 0.02
+NAMED_PX, BY_CHANCE = 2.5, 0.02
 """Maximum distance at which a centroid is identified with a guide star, and maximum fraction of guide stars that would
 have a centroid at this distance by chance."""
 _MISFITTING = 0.01

@@ -28,6 +28,7 @@ __all__ = [
     "CentroidSettings",
     "DetectionSettings",
     "IdentificationSettings",
+    "InFlightSettings",
     "MatchGroupSettings",
     "OperationSettings",
     "PatternHashSettings",
@@ -35,6 +36,9 @@ __all__ = [
     "TrackingSettings",
     "TriadSettings",
 ]
+
+_LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
+"""Those of `startracker.lens.PARAMETERS`, of every projection."""
 
 
 @dataclass(frozen=True)
@@ -236,6 +240,87 @@ class OperationSettings:
             blemish_sigma=POSITIVE,
             blemish_shift_px=FROM_0,
             reference_b_v=(-10.0, 10.0),
+        )
+
+    __pydantic_config__ = FORBID
+
+
+@dataclass(frozen=True)
+class InFlightSettings:
+    """Calibration in flight: the camera estimated from the stars of successive frames.
+
+    Each parameter begins with the value of the calibration on the ground and a standard deviation, and may drift as a
+    random walk: its standard deviation grows by the stated amount in one hour, and by the square root of the time. The
+    smaller the drift, the longer the estimate averages over noise, and the later it follows a change
+    (`startracker.calibration.LensFilter.time_constant_s`).
+    """
+
+    use: bool = False
+    """Calibrate in flight; false: the camera is that of the calibration on the ground."""
+    parameters: tuple[str, ...] = ("f", "cx", "cy", "k1")
+    """Estimated parameters of the lens: ``f`` (focal length), ``aspect`` (ratio of its values along rows and columns),
+    ``cx``, ``cy`` (principal point), ``k1`` to ``k3``, ``p1``, ``p2`` (distortion; ``k1`` to ``k4`` of a fisheye)."""
+    focal_length_ppm: float = 200.0
+    """Initial standard deviation of the focal length, and of its aspect ratio, 1e-6."""
+    principal_point_px: float = 0.2
+    """Initial standard deviation of the principal point on each axis, pixels."""
+    distortion_px: float = 0.1
+    """Initial standard deviation of the displacement that each coefficient of the distortion causes at the corner of
+    the image, pixels."""
+    psf_width_px: float = 0.1
+    """Initial standard deviation of the width of star images (σ), pixels."""
+    focal_length_drift_ppm_sqrt_h: float = 20.0
+    """Drift of the focal length and the aspect ratio in one hour, 1e-6."""
+    principal_point_drift_px_sqrt_h: float = 0.02
+    """Drift of the principal point in one hour, pixels."""
+    distortion_drift_px_sqrt_h: float = 0.005
+    """Drift of the displacement by each coefficient at the corner in one hour, pixels."""
+    psf_width_drift_px_sqrt_h: float = 0.01
+    """Drift of the width of star images in one hour, pixels."""
+    star_error_px: float = 0.005
+    """Standard deviation on one axis of the error of a star that stays the same from frame to frame (unresolved
+    neighbours, colour, catalogue), pixels. Stars whose mean residual is significantly larger are not used."""
+    shift_px: float = 1.0
+    """Minimum motion of the stars since the last frame used for the lens, pixels: the errors of stars that stay on the
+    same pixels do not average out. 0: every frame is used."""
+    false_rejection: float = 1e-6
+    """Probability that the gate on the innovations rejects a correct frame."""
+    defect_frames: int = 5
+    """Minimum number of frames for mapping a defective pixel; 0: defective pixels are not mapped."""
+    defect_share: float = 0.75
+    """Fraction of the frames in which a defective pixel must be seen."""
+    defect_sigma: float = 5.0
+    """Threshold of a defective pixel in units of the noise."""
+    defect_shift_px: float = 8.0
+    """Minimum motion of the stars, at the position of a pixel, between two frames in which it is counted; more than the
+    diameter of a star image."""
+
+    __repr__ = changed_fields
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.parameters if name not in _LENS_PARAMETERS]
+        if unknown or len(set(self.parameters)) != len(self.parameters):
+            raise InputError(
+                f"parameters is {list(self.parameters)}; it must name some of {', '.join(_LENS_PARAMETERS)}, each once"
+            )
+        positive = ("focal_length_ppm", "principal_point_px", "distortion_px", "psf_width_px")
+        drifts = (
+            "focal_length_drift_ppm_sqrt_h",
+            "principal_point_drift_px_sqrt_h",
+            "distortion_drift_px_sqrt_h",
+            "psf_width_drift_px_sqrt_h",
+        )
+        check_settings(
+            self,
+            **dict.fromkeys(positive, POSITIVE),
+            **dict.fromkeys(drifts, FROM_0),
+            star_error_px=FROM_0,
+            shift_px=FROM_0,
+            false_rejection=(ABOVE_0, BELOW_1),
+            defect_frames=FROM_0,
+            defect_share=(ABOVE_0, 1.0),
+            defect_sigma=POSITIVE,
+            defect_shift_px=POSITIVE,
         )
 
     __pydantic_config__ = FORBID

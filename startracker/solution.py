@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
+from startracker.bodies import NO_BODIES, SeenBodies
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
 from startracker.display import angle_text, described, html_card, quantity_range, star_chart
@@ -64,6 +65,9 @@ class MatchedStars:
     used : bool array, optional
         Whether the star was used in the attitude fit; stars with larger residuals than noise explains (blends, nearby
         defective pixels) are identified but not used. By default all.
+    sigma_px : array, optional
+        Standard error of each centroid on one axis, pixels, as stated by the centroider and including that of the
+        catalogue; NaN if not known.
     """
 
     xy: FloatArray
@@ -73,10 +77,13 @@ class MatchedStars:
     flux: FloatArray
     residual_px: FloatArray
     used: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+    sigma_px: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         if len(self.used) != len(self.catalog_id):
             object.__setattr__(self, "used", np.ones(len(self.catalog_id), np.bool_))
+        if len(self.sigma_px) != len(self.catalog_id):
+            object.__setattr__(self, "sigma_px", np.full(len(self.catalog_id), np.nan))
 
     def __len__(self) -> int:
         return len(self.catalog_id)
@@ -137,6 +144,9 @@ class Solution:
     observer : Observer, optional
         The observer given. Without one, or without its velocity, aberration is not corrected: the attitude is off by up
         to 26″, and the covariance includes this (`aberration_corrected`).
+    bodies : SeenBodies
+        Planets, Moon and Sun among the centroids, by their ephemeris for the observer; they are not used in the
+        attitude fit.
     """
 
     status: Status
@@ -154,6 +164,7 @@ class Solution:
     operations: int = 0
     prior_contradicted: bool = False
     observer: Observer | None = None
+    bodies: SeenBodies = field(default=NO_BODIES)
 
     def __repr__(self) -> str:
         if self.attitude is None:
@@ -178,6 +189,8 @@ class Solution:
         if self.attitude is not None:
             *where, stars, accuracy, aberration = self._facts()
             rows = {"boresight": ", ".join(where), "stars": f"{stars} of {len(self.centroids)} centroids"}
+            if len(self.bodies.name):
+                rows["solar system"] = ", ".join(self.bodies.name.tolist())
             rows |= {"1σ across / about": accuracy.removeprefix("σ ").replace("/", " / "), "reason": self.reason}
             rows["aberration"] = f"{aberration}; the standard errors include it" if aberration else "corrected"
         rows["field of view"] = f"{self.fov_deg:.2f}°" if self.fov_deg else ""
@@ -195,6 +208,10 @@ class Solution:
         size = self.camera.width, self.camera.height
         radius = np.clip(7.0 - self.stars.v_mag[order], 1.5, 7.0)
         return star_chart(size, self.centroids, self.stars.xy[order], radius, named)
+
+    def without_bodies(self, values: FloatArray) -> FloatArray:
+        """Values (N,) of the centroids other than those of bodies of the solar system."""
+        return np.delete(values, self.bodies.centroid) if len(self.bodies.centroid) else values
 
     @property
     def solved(self) -> bool:

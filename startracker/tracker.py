@@ -32,7 +32,8 @@ from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.refine import Measured, Refined, refine
+from startracker.refine import Measured, Refined
+from startracker.refine_stars import refine_stars
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
@@ -251,7 +252,7 @@ class StarTracker:
             errors = stars.variance_px2, stars.covariance_px2, stars.common_px2, stars.misfit
             tried = self._solve(Measured(stars.xy, stars.flux, *errors), prior, observer, guide, clock)
             looks.append((stars, tried))
-            if tried.solved and is_whole(tried, stars.flux, guide, stars.trailed):
+            if tried.solved and is_whole(tried, tried.without_bodies(stars.flux), guide, stars.trailed):
                 break
         stars, solution = best_look(looks)
         operations, trailed = sum(tried.operations for _, tried in looks), any(look.trailed for look, _ in looks)
@@ -259,7 +260,8 @@ class StarTracker:
         for other, tried in looks:
             if other is not stars:
                 steps = (*other.steps, *tried.steps, *attitude_steps(tried), *steps)
-        if not stars.trailed and solution.solved and may_be_pieces(solution, stars.flux, guide, trailed):
+        flux = solution.without_bodies(stars.flux)
+        if not stars.trailed and solution.solved and may_be_pieces(solution, flux, guide, trailed):
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
@@ -300,12 +302,12 @@ class StarTracker:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
         try:
             known = None if free else directions
-            refined = refine(pairs, stars, camera, guide, self._estimate, free, known, observer)
+            refined, bodies = refine_stars(pairs, stars, camera, guide, self._estimate, known, observer)
         except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
             reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
         solution = self._solved(found, refined, stars, guide, observer, clock)
-        return replace(solution, steps=tried, prior_contradicted=contradicted)
+        return replace(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""
@@ -348,6 +350,10 @@ class StarTracker:
         clock: Clock,
     ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
+        sigma_px = np.empty(0)
+        if measured.variance_px2 is not None:
+            floor_px = guide.catalog.position_sigma_rad / self.camera.pixel_rad
+            sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
         stars = MatchedStars(
             measured.xy[used],
             guide.catalog.id[chosen],
@@ -356,6 +362,7 @@ class StarTracker:
             np.full(len(used), np.nan) if measured.flux is None else measured.flux[used],
             refined.residual_px,
             refined.used,
+            sigma_px,
         )
         clock.lap("attitude")
         return Solution(

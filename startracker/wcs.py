@@ -19,7 +19,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,7 +45,12 @@ _STANDARD_ORDER = 9
 _CODES = {"pinhole": "TAN", "fisheye": "ARC", "equidistant": "ARC", "equisolid": "ZEA"}
 
 
-def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | None = None) -> dict[str, Any]:
+def wcs_header(
+    camera: Camera,
+    attitude: Attitude,
+    velocity_km_s: ArrayLike | None = None,
+    form: Literal["astrometric", "apparent"] = "astrometric",
+) -> dict[str, Any]:
     """FITS header cards of the world coordinate system of an image.
 
     Parameters
@@ -58,6 +63,9 @@ def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | No
         Barycentric velocity of the observer, ICRS axes, if the attitude refers to apparent directions (a true attitude,
         or one solved with an observer): the header then gives astrometric positions. Omit it for a solution without an
         observer, which refers to catalogue positions already.
+    form : {"astrometric", "apparent"}
+        What the header gives if the velocity is known: ``astrometric`` catalogue positions, without aberration, or
+        ``apparent`` directions as the observer sees them, with it.
 
     Returns
     -------
@@ -71,8 +79,8 @@ def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | No
     or 9) being raised until the maximum error is below 0.002 px; AP and BP are the inverse. If 9, the highest order of
     SIP, is not accurate to 1″, 11 and 13 are tried, which astropy reads and some programs do not. CSYER1 and CSYER2 are
     the maximum error of A and B over the image, degrees, evaluated between the points of the fit. There are no
-    polynomials for an ideal lens if aberration distorts the field by less than 0.002 px. WCSNAME is ``astrometric`` if
-    the velocity was given.
+    polynomials for an ideal lens if aberration distorts the field by less than 0.002 px. WCSNAME is the form if the
+    velocity was given; the axes are those of the ICRS in both forms.
 
     Raises
     ------
@@ -82,7 +90,7 @@ def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | No
     """
     scale: float = 1.0
     rays: Rays | None = None
-    if velocity_km_s is not None:
+    if velocity_km_s is not None and form == "astrometric":
         apparent, velocity = attitude, np.asarray(velocity_km_s, dtype=float)
         attitude, scale = _catalogued(apparent, velocity)
         turn = attitude.as_matrix() @ apparent.as_matrix().T
@@ -113,7 +121,7 @@ def wcs_header(camera: Camera, attitude: Attitude, velocity_km_s: ArrayLike | No
         "RADESYS": "ICRS",
     }
     if velocity_km_s is not None:
-        header["WCSNAME"] = "astrometric"
+        header["WCSNAME"] = form
     if sip is not None:
         cards, error_px = sip
         error_deg = math.degrees(error_px * camera.pixel_rad)

@@ -65,7 +65,7 @@ def scenario_pages() -> Pages:
         "",
         "## Keys at the top level",
         "",
-        *(line for key in top.values() if not key.section for line in _key(key)),
+        *(line for key in top.values() if not key.section for line in _key_with_items(key)),
         _toctree([f"scenario/{key.name}" for key in sections]),
     ]
     pages = {"scenario": "\n".join(index)}
@@ -77,20 +77,27 @@ def scenario_pages() -> Pages:
 
 def _section(section: Any, path: str, depth: int = 1) -> Iterator[str]:
     """Entries of a section's keys, plain ones first; each subsection below a heading of its own."""
-    from simulator.scenario.fields import item_section, keys_of
+    from simulator.scenario.fields import keys_of
 
     keys = keys_of(section, path).values()
     for key in keys:
         if key.section:
             continue
-        yield from _key(key)
-        if item := item_section(key.annotation):
-            for part in keys_of(item, f"{key.path}[]").values():
-                yield from _key(part)
+        yield from _key_with_items(key)
     for key in keys:
         if key.section:
             yield from ("#" * (depth + 1) + f" {key.path}", "", _inline(key.description), "")
             yield from _section(key.section, key.path, depth + 1)
+
+
+def _key_with_items(key: Any) -> Iterator[str]:
+    """Entry of a key, and of the keys of its items if it is a list of sections."""
+    from simulator.scenario.fields import item_section, keys_of
+
+    yield from _key(key)
+    if item := item_section(key.annotation):
+        for part in keys_of(item, f"{key.path}[]").values():
+            yield from _key_with_items(part)
 
 
 def _key(key: Any) -> Iterator[str]:

@@ -55,7 +55,7 @@ def _target(given: Path | None, name: str, several: bool) -> Path | None:
 
 def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | None, request: RenderRequest) -> None:
     if image is not None:
-        write_fits(image, frame, truth, noiseless_plane=request.noiseless_plane)
+        write_fits(image, frame, truth, noiseless_plane=request.noiseless_plane, wcs=request.wcs)
         print(f"{image}: {frame.image.shape[1]}×{frame.image.shape[0]} pixels, with the truth in its table TRUTH")
     if picture is not None:
         write_atomically(picture, _preview(frame, truth, picture_format(picture), request))
@@ -73,9 +73,11 @@ def _preview(frame: Frame, truth: FrameTruth, form: str, request: RenderRequest)
 
 def _in_field(frame: Frame, truth: FrameTruth) -> str:
     inside = frame.camera.contains(truth.sources.xy)
-    stars = int(np.sum(inside & (truth.sources.kind == "star")))
-    bodies = [str(name) for name in truth.sources.name[inside & (truth.sources.kind != "star")]]
-    return " and ".join([f"{stars} stars", *bodies])
+    kind = truth.sources.kind[inside]
+    satellites = int(np.sum(kind == "satellite"))
+    bodies = [str(name) for name in truth.sources.name[inside][~np.isin(kind, ("star", "satellite"))]]
+    bodies += [f"{satellites} satellite{'s' if satellites > 1 else ''}"] if satellites else []
+    return " and ".join([f"{int(np.sum(kind == 'star'))} stars", *bodies])
 
 
 def _parse_pointing(text: str) -> Attitude:

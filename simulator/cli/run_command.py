@@ -47,7 +47,7 @@ def main(request: RunRequest) -> int:
 
 def _refuse_unused(request: RunRequest) -> None:
     """Refuse the first option that has no effect with ``--sequence``, or without it."""
-    of_sequences = ("frames", "step_s", "single", "animate", "ccsds")
+    of_sequences = ("frames", "step_s", "single", "animate", "ccsds", "spice")
     unused = ("trials", "workers", "dask", "resume") if request.sequence else of_sequences
     for name in unused:
         value, option = getattr(request, name), f"--{name.replace('_', '-')}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -60,6 +60,10 @@ class RunRequest:
         bool,
         switch("--ccsds", "Write the trajectory as OEM, and true and estimated attitudes as AEM and ACM.", _SEQUENCES),
     ] = False
+    spice: Annotated[
+        bool,
+        switch("--spice", "Write the trajectory as SPK, and true and estimated attitudes as CK kernels.", _SEQUENCES),
+    ] = False
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,12 @@ class RenderRequest:
     noiseless_plane: Annotated[
         bool, switch("--noiseless-plane", "Add the mean photo-electrons to the FITS file (extension MEAN_E).")
     ] = False
+    wcs: Annotated[
+        Literal["astrometric", "apparent"],
+        option(
+            "--wcs", "FORM", "World coordinates of the FITS file: astrometric (no aberration) or apparent (with it)."
+        ),
+    ] = "astrometric"
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from simulator.scenario import Scenario
 
 
 def validate(paths: Sequence[str | Path]) -> int:
@@ -35,6 +39,8 @@ def validate(paths: Sequence[str | Path]) -> int:
 def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
     """Print a scenario with every default spelled out and every key explained; it loads again to an equal one.
 
+    Below it, as comments, the values that follow from the age of the camera.
+
     Returns
     -------
     int
@@ -49,7 +55,20 @@ def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 2
     print(scenario.to_yaml(), end="")
+    if scenario.environment.has_damage:
+        print("", *(f"# {line}" for line in _derived_lines(scenario)), sep="\n")
     return 0
+
+
+def _derived_lines(scenario: Scenario) -> list[str]:
+    """What the age of the camera makes of its detector, or the reason why it is not known here."""
+    from simulator.study.environment.derived import aged_lines
+    from startracker.errors import InputError
+
+    try:
+        return ["Derived values:", *aged_lines(scenario)]
+    except InputError as error:  # an optional package that is not installed
+        return [f"Derived values: {error}"]
 
 
 def schema() -> int:

@@ -38,6 +38,7 @@ def run_sequence_command(request: RunRequest) -> int:
             single=request.single,
             animate=request.animate,
             ccsds=request.ccsds,
+            spice=request.spice,
             force=request.force,
             progress=progress,
         )
@@ -77,11 +78,41 @@ def _print(sequence: Sequence, console: Console) -> None:
     if nees["mean"] is not None:
         low, high = nees["bounds95"]
         console.print(f"NEES {nees['mean']:.2f}; 3 expected, 95 % of such sequences {low:.2f} to {high:.2f}")
+    if "heads" in summary:
+        _print_heads(summary["heads"], console)
     for status, count in summary["unsolved_by_status"].items():
         console.print(f"  {count} × {status}")
     if "operation" in summary:
         _print_operation(summary["operation"], console)
     console.print(f"{sequence.folder}: {', '.join(sequence.files)}")
+
+
+def _print_heads(heads: dict[str, Any], console: Console) -> None:
+    """Each head alone, and what the filter found of its alignment."""
+    rows = []
+    for name, head in heads.items():
+        errors, used = head["errors_deg"], head["filter"]
+        rows.append(
+            [
+                name,
+                str(head["solved"]),
+                str(head["wrong"]),
+                *(deg_text(errors[axis]["rms"]) for axis in BODY_AXES),
+                str(used["used"] + used["started"]),
+                str(used["rejected"] + used["restarted"] + used["too_late"]),
+            ]
+        )
+    headings = ("head", "solved", "wrong", *(f"rms {axis}" for axis in BODY_AXES), "used", "not used")
+    print_table(console, "Heads: errors of single frames", headings, rows)
+    for name, head in heads.items():
+        found = head.get("alignment_arcsec", {})
+        off = [
+            f"{axis} {each['estimated'] - each['true']:+.2f} ± {each['sigma']:.2f}″"
+            for axis, each in found.items()
+            if each["estimated"] is not None
+        ]
+        if off:
+            console.print(f"Alignment of {name}, error ± σ: {', '.join(off)}")
 
 
 def _print_operation(rules: dict[str, Any], console: Console) -> None:

@@ -50,6 +50,12 @@ def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -
                 stars.xy, stars.catalog_id, stars.name, stars.v_mag, stars.residual_px, stars.used, strict=True
             )
         ],
+        "bodies": [
+            {"name": name, "x": float(xy[0]), "y": float(xy[1]), "residual_px": [float(r) for r in residual]}
+            for name, xy, residual in zip(
+                solution.bodies.name.tolist(), solution.bodies.xy, solution.bodies.residual_px, strict=True
+            )
+        ],
         "pixels": [
             {"x": float(x), "y": float(y), "ra_deg": _number(ra), "dec_deg": _number(dec)}
             for (x, y), (ra, dec) in zip(pixels, _radec_deg(solution, pixels, observer), strict=True)
@@ -77,9 +83,10 @@ def _summary(solution: Solution) -> str:
     field = f"  field {solution.camera.fov_text}" if solution.camera else ""
     rmse = f", residual {solution.rmse_arcsec:.1f}″ rms" if solution.rmse_arcsec is not None else ""
     mirrored = ", mirrored" if solution.parity < 0 else ""
+    bodies = "".join(f", {name}" for name in solution.bodies.name)
     return (
         f"solved  RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}  "
-        f"({solution.matched} of {len(solution.centroids)} stars identified{rmse}{mirrored}; "
+        f"({solution.matched} of {len(solution.centroids)} stars identified{bodies}{rmse}{mirrored}; "
         f"{solution.times_ms.get('total', 0.0):.0f} ms)"
     )
 

@@ -28,7 +28,13 @@ class Item(NamedTuple):
     """Its value without units, or the line."""
 
 
-_BLOCKS = {"metadata": "META", "data": "DATA", "covarianceMatrix": "COVARIANCE", "stateVector": "STATE"}
+_BLOCKS = {
+    "metadata": "META",
+    "data": "DATA",
+    "covarianceMatrix": "COVARIANCE",
+    "stateVector": "STATE",
+    "attitudeState": "STATE",
+}
 """Names of the blocks in XML; those of other elements are their own."""
 _UNIT = re.compile(r"\s*\[[^\]]*\]\s*$")
 

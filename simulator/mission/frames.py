@@ -48,11 +48,13 @@ def to_frame(frame: str, clock: Clock, t_s: float | FloatArray) -> FloatArray:
     ----------
     frame : str
         ``icrf``; ``equator_of_date``: true equator and equinox; ``ecliptic``: mean ecliptic and equinox of J2000;
-        ``eme2000``: mean equator and equinox of J2000, 23 mas from ICRF (IAU 2006 frame bias); ``teme``: SGP4's.
+        ``eme2000``: mean equator and equinox of J2000, 23 mas from ICRF (IAU 2006 frame bias); ``teme``: SGP4's;
+        ``itrf``: ITRS by IAU 2006/2000A (ERFA's ``c2t06a``), UT1 from Skyfield's table, without polar motion (0.6″,
+        19 m at the surface).
     clock, t_s
         The instants.
     """
-    of_date = {"equator_of_date": true_of_date, "teme": teme}
+    of_date = {"equator_of_date": true_of_date, "teme": teme, "itrf": _earth_fixed}
     if frame in of_date:
         return of_date[frame](clock, t_s)
     if frame == "ecliptic":
@@ -60,6 +62,12 @@ def to_frame(frame: str, clock: Clock, t_s: float | FloatArray) -> FloatArray:
     if frame == "eme2000":
         return np.asarray(erfa.ufunc.bp06(J2000_JD_TT, 0.0)[0])
     return np.eye(3)
+
+
+def _earth_fixed(clock: Clock, t_s: float | FloatArray) -> FloatArray:
+    time = timescale().tt_jd(*clock.tt_jd(t_s))
+    tt1, tt2 = clock.tt_jd(t_s)
+    return np.asarray(erfa.ufunc.c2t06a(tt1, tt2, time.whole, time.ut1_fraction, 0.0, 0.0))
 
 
 def to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -77,8 +85,7 @@ def states_to_gcrs(
     ----------
     frame : str
         As for `to_frame`, whose axes count as inertial at each instant, or ``itrf``: Earth-fixed, to whose velocities
-        ω × r is added. ITRS from GCRS by IAU 2006/2000A (ERFA's ``c2t06a``), UT1 from Skyfield's table, without polar
-        motion (0.6″, 19 m at the surface).
+        ω × r is added.
     clock, t_s
         The instants.
     r_km, v_km_s : array, shape (N, 3)
@@ -87,9 +94,7 @@ def states_to_gcrs(
     if frame != "itrf":
         matrix = to_frame(frame, clock, t_s)
         return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s)
-    time = timescale().tt_jd(*clock.tt_jd(t_s))
-    tt1, tt2 = clock.tt_jd(t_s)
-    matrix = np.asarray(erfa.ufunc.c2t06a(tt1, tt2, time.whole, time.ut1_fraction, 0.0, 0.0))
+    matrix = to_frame("itrf", clock, t_s)
     turning = np.cross([0.0, 0.0, EARTH_RATE_RAD_S], r_km)
     return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s + turning)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from simulator.mission.parameters import Gyro
 
@@ -17,9 +18,18 @@ DEG_H = math.radians(1.0) / 3600.0
 """1 °/h in rad/s."""
 
 
-def gyro_samples(
-    gyro: Gyro, turns_rad: FloatArray, step_s: float, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
+class GyroSamples(NamedTuple):
+    """Measurements of a gyro, and its errors."""
+
+    rates_rad_s: FloatArray
+    """(N, 3): Measured mean rates over the steps."""
+    biases_rad_s: FloatArray
+    """(N + 1, 3): True bias, the first one before the first step."""
+    scale: FloatArray
+    """(3,): Error of the scale factors, 0.01 is 1 %."""
+
+
+def gyro_samples(gyro: Gyro, turns_rad: FloatArray, step_s: ArrayLike, rng: np.random.Generator) -> GyroSamples:
     """Measured mean rates over the steps of a sequence, and the true bias at their ends.
 
     measured = (1 + k) turn / step + mean bias + white noise of N / √step; k constant, drawn once; bias = constant +
@@ -33,28 +43,26 @@ def gyro_samples(
         Its noise.
     turns_rad : array, shape (N, 3)
         True rotation vector of each step in the gyro's axes, as integrated by a gyro with coning compensation.
-    step_s : float
-        Length of a step.
+    step_s : float or array, shape (N,)
+        Length of the steps.
     rng : Generator
         Draws 9 + 6 N Gaussian deviates.
 
-    Returns
-    -------
-    rates, biases : arrays, shape (N, 3) and (N + 1, 3)
-        Rad/s; the first bias is that before the first step.
     """
     constant, wander = rng.standard_normal((2, 3))
     constant = constant * gyro.bias_deg_h * DEG_H
     spread = gyro.bias_instability_deg_h * DEG_H
-    kept = math.exp(-step_s / gyro.bias_time_s)
-    fresh = math.sqrt(-math.expm1(-2.0 * step_s / gyro.bias_time_s))
+    steps = np.broadcast_to(np.asarray(step_s, dtype=float), len(turns_rad)).tolist()
     biases = np.empty((len(turns_rad) + 1, 3))
     wander = wander * spread
     biases[0] = constant + wander
     noise = rng.standard_normal((len(turns_rad), 2, 3))
-    for k in range(len(turns_rad)):
+    for k, h in enumerate(steps):
+        kept, fresh = math.exp(-h / gyro.bias_time_s), math.sqrt(-math.expm1(-2.0 * h / gyro.bias_time_s))
         wander = kept * wander + spread * fresh * noise[k, 0]
         biases[k + 1] = constant + wander
-    white = gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H / math.sqrt(step_s) * noise[:, 1]
+    length = np.array(steps)[:, None]
+    white = gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H / np.sqrt(length) * noise[:, 1]
     scale = 1.0 + gyro.scale_factor_ppm * 1e-6 * rng.standard_normal(3)
-    return scale * turns_rad / step_s + 0.5 * (biases[:-1] + biases[1:]) + white, biases
+    rates = scale * turns_rad / length + 0.5 * (biases[:-1] + biases[1:]) + white
+    return GyroSamples(rates, biases, scale - 1.0)

@@ -23,15 +23,15 @@ class StateTable:
     t_s: FloatArray
     """(N,): Ascending."""
     states: FloatArray
-    """(N, 6): Positions and velocities."""
+    """(N, C): Quantities; for ``hermite`` half of the columns, and then their derivatives."""
     method: Literal["lagrange", "hermite"]
-    """``lagrange``: each of the six columns by itself. ``hermite``: the position through positions and velocities, the
+    """``lagrange``: each of the columns by itself. ``hermite``: the position through positions and velocities, the
     velocity as its derivative."""
     nodes: int
     """Nodes of a polynomial: degree + 1 for ``lagrange``, (degree + 1) / 2 for ``hermite``; at most N."""
 
     def state(self, t_s: FloatArray) -> FloatArray:
-        """States (T, 6) at times (T,) within the table."""
+        """States (T, C) at times (T,) within the table."""
         first = self._first(t_s)
         rows = first[:, None] + np.arange(self.nodes)
         x, y = self.t_s[rows] - t_s[:, None], self.states[rows]
@@ -62,8 +62,9 @@ def _differences(x: FloatArray, y: FloatArray) -> list[FloatArray]:
 
 
 def _doubled_differences(x: FloatArray, y: FloatArray) -> list[FloatArray]:
-    """Divided differences of nodes (T, n), each taken twice, with positions and derivatives (T, n, 6)."""
-    position, slope = y[..., :3], y[..., 3:]
+    """Divided differences of nodes (T, n), each taken twice, with positions and derivatives (T, n, C)."""
+    half = y.shape[-1] // 2
+    position, slope = y[..., :half], y[..., half:]
     doubled = np.repeat(x, 2, axis=1)
     table = np.repeat(position, 2, axis=1)
     first = np.empty_like(table[:, 1:])

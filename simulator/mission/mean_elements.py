@@ -20,7 +20,7 @@ from simulator.mission.frames import teme, to_gcrs
 from simulator.mission.trajectory import refuse_outside
 from startracker.errors import InputError
 
-__all__ = ["MeanElements", "MeanElementsOrbit", "read_omm", "read_tle"]
+__all__ = ["MeanElements", "MeanElementsOrbit", "epoch_s", "read_elements", "read_omm", "read_tle", "sgp4_record"]
 
 FloatArray = NDArray[np.float64]
 
@@ -68,11 +68,7 @@ class MeanElementsOrbit:
 
     @functools.cached_property
     def _epoch_s(self) -> float:
-        """Epoch of the elements, SI seconds after that of the clock."""
-        tai1, tai2, _ = erfa.ufunc.utctai(*self.elements.epoch_jd)
-        tt1, tt2, _ = erfa.ufunc.taitt(tai1, tai2)
-        first1, first2 = self.clock.tt_jd(0.0)
-        return float(((tt1 - first1) + (tt2 - first2)) * SECONDS_PER_DAY)
+        return epoch_s(self.elements, self.clock)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -109,6 +105,21 @@ class MeanElementsOrbit:
         return to_gcrs(matrix, position.reshape(*t.shape, 3)), to_gcrs(matrix, velocity.reshape(*t.shape, 3))
 
 
+def epoch_s(elements: MeanElements, clock: Clock) -> float:
+    """Epoch of a set of elements, SI seconds after that of a clock."""
+    # elements count days of 86,400 s; ERFA's quasi Julian date would stretch a day with a leap second
+    leap_s, _ = erfa.ufunc.dat(*erfa.ufunc.jd2cal(*elements.epoch_jd)[:4])
+    tt1, tt2, _ = erfa.ufunc.taitt(elements.epoch_jd[0], elements.epoch_jd[1] + leap_s / SECONDS_PER_DAY)
+    first1, first2 = clock.tt_jd(0.0)
+    return float(((tt1 - first1) + (tt2 - first2)) * SECONDS_PER_DAY)
+
+
+def read_elements(path: Path) -> list[MeanElements]:
+    """Every set of elements of a file: a CCSDS OMM in KVN or XML (``.omm``, ``.xml``, ``.kvn``), otherwise two-line
+    elements; `InputError` as `read_tle`."""
+    return _messages(path) if path.suffix.lower() in (".omm", ".xml", ".kvn") else list(_two_lines(path))
+
+
 def read_tle(path: Path, clock: Clock, wanted: str | int | None, max_age_days: float) -> MeanElementsOrbit:
     """Orbit of a file of two-line elements, with or without lines of names.
 
@@ -135,13 +146,17 @@ def read_tle(path: Path, clock: Clock, wanted: str | int | None, max_age_days: f
 
 def read_omm(path: Path, clock: Clock, wanted: str | int | None, max_age_days: float) -> MeanElementsOrbit:
     """Orbit of a CCSDS OMM in KVN or XML, in which several may follow each other; as `read_tle`."""
+    return _nearest(path, _messages(path), clock, wanted, max_age_days)
+
+
+def _messages(path: Path) -> list[MeanElements]:
     sets: list[dict[str, Item]] = [{}]
     for item in read_items(path, "OMM"):
         if item.key in sets[-1] and item.key in ("OBJECT_NAME", "CCSDS_OMM_VERS"):
             sets.append({})
         if item.key[:1] not in ("+", "-"):
             sets[-1].setdefault(item.key, item)
-    return _nearest(path, [_of_message(path, keys) for keys in sets], clock, wanted, max_age_days)
+    return [_of_message(path, keys) for keys in sets]
 
 
 def _nearest(
@@ -279,6 +294,11 @@ def _of_message(path: Path, keys: dict[str, Item]) -> MeanElements:
 @functools.lru_cache(maxsize=64)
 def _satellite(elements: MeanElements) -> Any:
     """SGP4's record, cached here because it cannot be pickled."""
+    return sgp4_record(elements)
+
+
+def sgp4_record(elements: MeanElements) -> Any:
+    """SGP4's record of a set of elements, python-sgp4's ``Satrec``."""
     from sgp4.api import WGS72, Satrec
 
     satellite = Satrec()

@@ -1,9 +1,9 @@
 """True attitude of the body over a sequence of frames.
 
-The body rotates relative to a reference (the local level, which rotates with the orbit; the axes of a free spin; or an
-inertial attitude) at a rate that is a piecewise linear function of time in body axes: ``pointing.rate_deg_s``, plus
-``sequence.rates``, plus the trapezoid of ``sequence.slew``. With S the rotation relative to the reference, C the
-rotation of the body at the start (offset and random error) and L the reference,
+The body rotates relative to a reference (the local level, which rotates with the orbit; the axes of a free spin or of
+an attitude law; or an inertial attitude) at a rate that is a piecewise linear function of time in body axes:
+``pointing.rate_deg_s``, plus ``sequence.rates``, plus the trapezoid of ``sequence.slew``. With S the rotation relative
+to the reference, C the rotation of the body at the start (offset and random error) and L the reference,
 
     A_body(t) = S(t) C L(t),    dS/dt = −[ω_rel(t) ×] S,    ω_body = S C ω_L + ω_rel.
 
@@ -12,22 +12,25 @@ S is integrated by Magnus' series to the fourth order, which is exact if the dir
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.parameters import PointingParameters, SequenceMotion, Slew, Spin
 from simulator.mission.pointing import Pointing, local_level
+from simulator.mission.slews import trapezoid
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 
-__all__ = ["MotionState", "RateProfile", "motion", "rate_profile"]
+__all__ = ["MotionState", "RateProfile", "motion", "on_mounting", "rate_profile"]
 
 FloatArray = NDArray[np.float64]
 
@@ -108,56 +111,67 @@ def rate_profile(pointing: PointingParameters, sequence: SequenceMotion) -> Rate
 
 
 def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
-    """Corners of a slew's speed profile, s and rad/s: a trapezoid, or a triangle for a short slew, whose area is the
-    angle."""
+    """Corners of a slew's speed profile after the first frame, s and rad/s."""
     turn = math.radians(math.hypot(*slew.turn_deg))
-    if turn == 0.0:
-        return np.empty(0), np.empty(0)
-    acceleration = math.radians(slew.acceleration_deg_s2)
-    top = min(math.radians(slew.max_rate_deg_s), math.sqrt(turn * acceleration))
-    ramp, steady = top / acceleration, turn / top - top / acceleration
-    if steady <= 1e-9 * ramp:
-        return slew.start_s + np.array([0.0, ramp, 2.0 * ramp]), np.array([0.0, top, 0.0])
-    return slew.start_s + np.array([0.0, ramp, ramp + steady, 2.0 * ramp + steady]), np.array([0.0, top, top, 0.0])
+    corners, speeds = trapezoid(turn, slew.max_rate_deg_s, slew.acceleration_deg_s2)
+    return slew.start_s + corners, speeds
 
 
 def motion(
-    pointing: PointingParameters, sequence: SequenceMotion, orbit: Trajectory, start: Pointing, frames: int
+    pointing: PointingParameters,
+    sequence: SequenceMotion,
+    orbit: Trajectory,
+    start: Pointing,
+    since_s: Sequence[float],
+    law: AttitudeLaw | None = None,
 ) -> list[MotionState]:
-    """True states at the first `frames` frames of a sequence.
+    """True states at times of a sequence.
 
     Parameters
     ----------
     pointing, sequence : sections
         As in the scenario. The reference is, with ``pointing.target``, the inertially fixed initial attitude; with
-        ``pointing.spin``, the spinning principal axes; otherwise the local level.
+        ``pointing.spin``, the spinning principal axes; with an attitude law, its axes; otherwise the local level.
     orbit : Trajectory
         The trajectory; the local level refers to its centre.
     start : Pointing
         Attitude at the first frame, without jitter.
-    frames : int
-        Number of frames.
+    since_s : sequence of float
+        Times after the first frame in ascending order, from 0.
+    law : AttitudeLaw, optional
+        That of the section (`simulator.mission.attitudes`).
     """
     profile = rate_profile(pointing, sequence)
     if pointing.target is not None:
         reference, rate_of = _inertial(start)
     elif pointing.spin.rate_deg_s:
         reference, rate_of = _spinning(pointing.spin)
+    elif law is not None:
+        reference, rate_of = functools.partial(law_attitude, law), functools.partial(law_rate_rad_s, law)
     else:
         reference, rate_of = _level(orbit)
     at_start = start.body @ reference(sequence.start_s).inverse
     turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
     states = []
-    for k in range(frames):
-        since_s = k * sequence.step_s
-        if k:
-            turned = profile.turn((k - 1) * sequence.step_s, since_s) @ turned
-        t_s = sequence.start_s + since_s
+    before_s = 0.0
+    for now_s in since_s:
+        if now_s > before_s:
+            turned = profile.turn(before_s, now_s) @ turned
+        before_s, t_s = now_s, sequence.start_s + now_s
         in_reference = turned @ at_start
-        rate_body = in_reference.apply(rate_of(t_s)) + profile.at(since_s)
+        rate_body = in_reference.apply(rate_of(t_s)) + profile.at(now_s)
         camera = start.mounting @ in_reference @ reference(t_s)
         states.append(MotionState(t_s, camera, start.mounting.apply(rate_body)))
     return states
+
+
+def on_mounting(state: MotionState, rotation_rad: FloatArray | None) -> MotionState:
+    """The same motion of the body seen by a camera whose mounting is rotated by a vector (3,) in camera axes, of which
+    the rate is neglected."""
+    if rotation_rad is None:
+        return state
+    turn = Attitude.from_rotation_vector(rotation_rad, "camera", "camera")
+    return MotionState(state.t_s, turn @ state.camera, turn.apply(state.rate_camera_rad_s))
 
 
 def _inertial(start: Pointing) -> tuple[Callable[[float], Attitude], Callable[[float], FloatArray]]:

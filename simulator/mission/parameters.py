@@ -132,7 +132,7 @@ class Spin:
     inertially fixed angular momentum."""
 
     rate_deg_s: float = 0.0
-    """Angular velocity about body +Z; 0: no spin, the body holds the local level or `pointing.target`."""
+    """Angular velocity about body +Z; 0: no spin."""
     axis_deg: tuple[float, float] = (0.0, 90.0)
     """Right ascension and declination of the angular momentum (ICRS)."""
     phase_deg: float = 0.0
@@ -147,8 +147,125 @@ class Spin:
 
 
 @dataclass(frozen=True)
+class AttitudeSource:
+    """Attitudes from a file: one of `aem`, `ck`, `csv` and `parquet`."""
+
+    aem: str | None = None
+    """CCSDS AEM in KVN or XML, with its own interpolation."""
+    ck: str | None = None
+    """SPICE kernel of attitudes; needs `sclk` and the extra ``spice``."""
+    sclk: str | None = None
+    """SPICE kernel of the spacecraft's clock, for `ck`."""
+    csv: str | None = None
+    """Table with the columns ``utc`` (or ``t_s`` after the epoch), ``qx``, ``qy``, ``qz``, ``qw``: the unit quaternion,
+    scalar last, that transforms coordinates from `frame` to the body or camera."""
+    parquet: str | None = None
+    """The same table in Parquet."""
+    object: str | int | None = None
+    """Name or number of the object in a file with several; in a CK kernel its NAIF number."""
+    gives: Literal["auto", "body", "camera"] = "auto"
+    """Whose attitudes they are. ``auto``: in an AEM by the name of the frame (``SC_BODY``, ``STARTRACKER``), otherwise
+    the body's. `mounting` leads from the one to the other."""
+    frame: Literal["icrf", "eme2000", "equator_of_date", "teme", "itrf", "ecliptic"] = "icrf"
+    """Axes from which the quaternions of a table start."""
+    interpolation: Literal["slerp", "spline"] = "slerp"
+    """Of a table. ``slerp``: constant rate between rows; ``spline``: cubic spline of rotations, continuous rates and
+    accelerations."""
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Keys of files; more than one contradict each other."""
+        return tuple(key for key in ATTITUDE_FILES if getattr(self, key) is not None)
+
+
+ATTITUDE_FILES = ("aem", "ck", "csv", "parquet")
+"""Keys of `AttitudeSource` that name a file of attitudes."""
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """An attitude of the camera at a time."""
+
+    at_s: float
+    """Seconds after the epoch."""
+    ra_deg: float
+    """Right ascension of the boresight, ICRS."""
+    dec_deg: float
+    """Declination of the boresight."""
+    roll_deg: float = 0.0
+    """Position angle of the camera's up axis (−y), east of north."""
+
+
+@dataclass(frozen=True)
+class Waypoints:
+    """Slews from attitude to attitude."""
+
+    points: tuple[Waypoint, ...] = ()
+    """Attitudes in order of time: a list of {at_s, ra_deg, dec_deg, roll_deg}; none: no slews."""
+    profile: Literal["eigenaxis", "spline"] = "eigenaxis"
+    """``eigenaxis``: rest, and a slew about one axis that ends at `at_s`, with constant acceleration, constant rate and
+    constant deceleration; ``spline``: a cubic spline of rotations through all attitudes, from the first to the last."""
+    max_rate_deg_s: float = 1.0
+    """Maximum rate of an ``eigenaxis`` slew; a short slew does not reach it."""
+    acceleration_deg_s2: float = 0.1
+    """Angular acceleration at its start and deceleration at its end."""
+
+
+@dataclass(frozen=True)
+class GroundTarget:
+    """A point above the ellipsoid of WGS 84."""
+
+    latitude_deg: float = 0.0
+    """Geodetic latitude."""
+    longitude_deg: float = 0.0
+    """Longitude, positive to the east."""
+    height_km: float = 0.0
+    """Height above the ellipsoid."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """A body axis follows a target, and a second one is kept as near as possible to a second direction."""
+
+    target: (
+        Literal["nadir", "velocity", "ground", "spacecraft", "direction", "Sun", "Moon", "Earth"]
+        | Literal["Mercury", "Venus", "Mars", "Jupiter", "Saturn", "Uranus", "Neptune"]
+        | None
+    ) = None
+    """What is followed: the centre of the trajectory (``nadir``), the ``velocity``, `ground`, `spacecraft`,
+    `direction_deg` or a body; none: the local level. Targets are followed behind the Earth as well."""
+    direction_deg: tuple[float, float] = (0.0, 0.0)
+    """Right ascension and declination (ICRS) for ``direction``."""
+    ground: GroundTarget = GroundTarget()
+    """Point on the Earth for ``ground``."""
+    spacecraft: OrbitParameters = OrbitParameters()
+    """Orbit of another spacecraft for ``spacecraft``, with the keys of `orbit`."""
+    axis: Vector | None = None
+    """Body axis that points at the target; none: the camera's boresight."""
+    second_axis: Vector | None = None
+    """Body axis towards the second direction; none: the camera's up axis (−y)."""
+    second_direction: Literal["velocity", "zenith", "orbit_normal", "north", "Sun"] = "velocity"
+    """Second direction: velocity, zenith, orbit normal (r × v), celestial north pole (ICRS) or Sun."""
+
+
+@dataclass(frozen=True)
+class ThermoElastic:
+    """Thermo-elastic motion of the mounting around the orbit: the camera rotates relative to the body, of which the
+    spacecraft does not know."""
+
+    amplitude_arcsec: Vector = (0.0, 0.0, 0.0)
+    """Amplitude of the rotation about the camera's x, y, z; 0: none."""
+    phase_deg: Vector = (0.0, 0.0, 0.0)
+    """Orbit angle at which the rotation about each axis is greatest."""
+    reference: Literal["noon", "node"] = "noon"
+    """Zero of the orbit angle. ``noon``: where the orbit is nearest to the Sun; the middle of the eclipse is at 180°;
+    ``node``: the ascending node."""
+
+
+@dataclass(frozen=True)
 class PointingParameters:
-    """Mounting of the camera, and attitude of the body relative to the local level."""
+    """Mounting of the camera, and attitude of the body: relative to the local level, or by one of `target`, `spin`,
+    `attitude`, `track` and `waypoints`."""
 
     mounting: str | tuple[float, float, float, float] = "orbit_normal"
     """Name of a mounting, or the quaternion (x, y, z, w) from body to camera."""
@@ -161,18 +278,45 @@ class PointingParameters:
     target_roll_deg: float = 0.0
     """Roll of the camera on a named target."""
     offset_deg: Vector = (0.0, 0.0, 0.0)
-    """Fixed attitude offset of the body from the local level: roll, pitch, yaw (rotation vector)."""
+    """Fixed attitude offset of the body from the local level, or from what replaces it: roll, pitch, yaw (rotation
+    vector)."""
     error_deg: float = 1.0
     """Half width of the uniformly distributed random attitude offset per trial and axis: the uncertainty of the other
     sensors."""
     rate_deg_s: Vector = (0.0, 0.0, 0.0)
-    """Body rate about X, Y, Z in addition to the rotation of the local-level frame."""
+    """Body rate about X, Y, Z in addition to the rotation of the local-level frame, or of what replaces it."""
     spin: Spin = Spin()
     """Free spin instead of the local level; off if its rate is 0."""
+    attitude: AttitudeSource = AttitudeSource()
+    """Attitudes from a file instead of the local level."""
+    waypoints: Waypoints = Waypoints()
+    """Slews from attitude to attitude instead of the local level."""
+    track: Track = Track()
+    """An axis that follows a target, instead of the local level."""
     jitter: Jitter = NO_JITTER
     """Jitter."""
+    thermo_elastic: ThermoElastic = ThermoElastic()
+    """Motion of the mounting around the orbit."""
 
     __repr__ = changed_fields
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """Keys that define the attitude instead of the local level; more than one contradict each other."""
+        given = {
+            "target": self.target is not None,
+            "spin": self.spin.rate_deg_s != 0.0,
+            "attitude": bool(self.attitude.sources),
+            "waypoints": bool(self.waypoints.points),
+            "track": self.track.target is not None,
+        }
+        return tuple(key for key, is_given in given.items() if is_given)
+
+    @property
+    def law(self) -> str:
+        """The key that defines the attitude: ``level`` (the local level), ``target``, ``spin``, ``attitude``,
+        ``waypoints`` or ``track``."""
+        return next(iter(self.laws), "level")
 
 
 @dataclass(frozen=True)

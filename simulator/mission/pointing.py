@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
@@ -29,11 +30,13 @@ __all__ = [
     "Pointing",
     "attitude_at",
     "boresight_path",
+    "deformed",
     "level_matrices",
     "local_level",
     "mounting_of",
     "point",
     "point_at_random",
+    "point_by",
     "point_spinning",
     "random_attitude",
     "round_s",
@@ -70,9 +73,11 @@ class Pointing:
     prior: Attitude
     """ICRS → camera without the random error, as known from other sensors."""
     mounting: Attitude
-    """Body → camera."""
+    """True body → camera."""
     rate_camera_rad_s: FloatArray
     """(3,): Inertial angular velocity in camera axes."""
+    mounting_rotation_rad: FloatArray | None = None
+    """(3,): Rotation vector from the nominal to the true mounting, camera axes; None if they are the same."""
 
     __repr__ = fields_repr
 
@@ -164,6 +169,15 @@ def point_spinning(parameters: PointingParameters, t_s: float, rng: np.random.Ge
     return _pointing(parameters, nominal, spin_rate_rad_s(parameters.spin, t_s), rng.uniform(-1.0, 1.0, 3))
 
 
+def point_by(parameters: PointingParameters, law: AttitudeLaw, t_s: float, rng: np.random.Generator) -> Pointing:
+    """`point` for a body that follows an attitude law, `t_s` seconds after the epoch.
+
+    The axes of the law replace the local level: offset, random error and `rate_deg_s` are added.
+    """
+    nominal = _offset(parameters) @ law_attitude(law, t_s)
+    return _pointing(parameters, nominal, law_rate_rad_s(law, t_s), rng.uniform(-1.0, 1.0, 3))
+
+
 def round_s(parameters: PointingParameters, orbital_period_s: float) -> float:
     """Time after which pointing repeats: one rotation of a spinning body, otherwise one orbit."""
     rate_deg_s = parameters.spin.rate_deg_s
@@ -186,6 +200,21 @@ def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike
         camera=camera,
         prior=error.inverse @ camera,
         rate_camera_rad_s=rate,
+    )
+
+
+def deformed(pointing: Pointing, rotation_rad: FloatArray | None) -> Pointing:
+    """The same body with its mounting, and the camera on it, rotated by a rotation vector (3,) in camera axes. The
+    prior does not know of it; the rate of the rotation is neglected (0.05″/s for 50″ in a low orbit)."""
+    if rotation_rad is None:
+        return pointing
+    turn = Attitude.from_rotation_vector(rotation_rad, "camera", "camera")
+    return replace(
+        pointing,
+        camera=turn @ pointing.camera,
+        mounting=turn @ pointing.mounting,
+        rate_camera_rad_s=turn.apply(pointing.rate_camera_rad_s),
+        mounting_rotation_rad=rotation_rad,
     )
 
 

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-import csv
-import math
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.mission.ccsds import read_text
 from simulator.mission.clock import Clock
-from simulator.mission.epochs import elapsed_s
 from simulator.mission.frames import states_to_gcrs
 from simulator.mission.interpolation import StateTable
+from simulator.mission.tables import read_rows
 from simulator.mission.trajectory import GM_KM3_S2, centre_state, osculating_period_s, refuse_outside
 from startracker.errors import InputError
 
-__all__ = ["Segment", "TabulatedTrajectory", "read_csv"]
+__all__ = ["Part", "Segment", "TabulatedTrajectory", "piecewise", "read_csv"]
 
 FloatArray = NDArray[np.float64]
 
 CSV_COLUMNS = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")
 _CSV_NODES = 4
-_RESOLUTION_S = 1e-6
+RESOLUTION_S = 1e-6
 """Epochs of files, and times after the scenario's epoch, are the same within this."""
 
 
@@ -68,7 +67,7 @@ class TabulatedTrajectory:
     @classmethod
     def of(cls, segments: list[Segment], clock: Clock, name: str, centre: str | None = None) -> TabulatedTrajectory:
         """Trajectory of at least one segment, whose spans are extended by the resolution of epochs."""
-        rounding = _RESOLUTION_S
+        rounding = RESOLUTION_S
         wider = [replace(s, first_s=s.first_s - rounding, last_s=s.last_s + rounding) for s in segments]
         ordered = sorted(wider, key=lambda segment: segment.first_s)
         return cls(clock, centre or ordered[0].centre, tuple(ordered), name)
@@ -94,18 +93,8 @@ class TabulatedTrajectory:
             Outside the span, or in a gap between segments.
         """
         t = np.asarray(t_s, dtype=float)
-        refuse_outside(self.clock, t, self.span_s, self.name)
-        flat, out = t.ravel(), np.full((t.size, 6), np.nan)
-        for segment in self.segments:
-            rows = np.flatnonzero((flat >= segment.first_s) & (flat <= segment.last_s))
-            if len(rows):
-                out[rows] = self._states(segment, flat[rows])
-        if np.isnan(out).any():
-            gap = float(flat[np.isnan(out[:, 0])][0])
-            before = max(s.last_s for s in self.segments if s.last_s < gap)
-            after = min(s.first_s for s in self.segments if s.first_s > gap)
-            ends = " to ".join(self.clock.isot(end) for end in (before, after))
-            raise InputError(f"{self.name}: no states from {ends} UTC, a gap between segments")
+        parts = [Part(s.first_s, s.last_s, functools.partial(self._states, s)) for s in self.segments]
+        out = piecewise(parts, self.clock, t.ravel(), self.name, "states")
         return out[:, :3].reshape(*t.shape, 3), out[:, 3:].reshape(*t.shape, 3)
 
     def _states(self, segment: Segment, t_s: FloatArray) -> FloatArray:
@@ -116,6 +105,37 @@ class TabulatedTrajectory:
             theirs, ours = (centre_state(name, self.clock, t_s) for name in (segment.centre, self.centre))
             out += np.concatenate([theirs.r_km - ours.r_km, theirs.v_km_s - ours.v_km_s], axis=1)
         return out
+
+
+class Part(NamedTuple):
+    """A quantity (T, C) at times (T,) from `first_s` to `last_s`, seconds after the epoch."""
+
+    first_s: float
+    last_s: float
+    values: Callable[[FloatArray], FloatArray]
+
+
+def piecewise(parts: Sequence[Part], clock: Clock, t_s: FloatArray, name: str, what: str) -> FloatArray:
+    """Values (T, C) at times (T,) from parts in order of time; where two overlap, from the later one.
+
+    Raises
+    ------
+    InputError
+        Outside the span, or in a gap; `name` is the file, `what` the quantity, for the message.
+    """
+    refuse_outside(clock, t_s, (parts[0].first_s, max(part.last_s for part in parts)), name)
+    out = np.full((t_s.size, parts[0].values(t_s[:0]).shape[1]), np.nan)
+    for part in parts:
+        rows = np.flatnonzero((t_s >= part.first_s) & (t_s <= part.last_s))
+        if len(rows):
+            out[rows] = part.values(t_s[rows])
+    if np.isnan(out).any():
+        gap = float(t_s[np.isnan(out[:, 0])][0])
+        before = max(part.last_s for part in parts if part.last_s < gap)
+        after = min(part.first_s for part in parts if part.first_s > gap)
+        ends = " to ".join(clock.isot(end) for end in (before, after))
+        raise InputError(f"{name}: no {what} from {ends} UTC, a gap between segments")
+    return out
 
 
 def read_csv(path: Path, clock: Clock, centre: str, frame: str) -> TabulatedTrajectory:
@@ -129,41 +149,6 @@ def read_csv(path: Path, clock: Clock, centre: str, frame: str) -> TabulatedTraj
     InputError
         With file and line: a missing column, a value that is not a number, or times that do not ascend.
     """
-    lines = [(n, line) for n, line in enumerate(read_text(path, "states").splitlines(), 1) if _has_data(line)]
-    header = [name.strip() for name in next(csv.reader([lines[0][1]]))] if lines else []
-    time = next((name for name in ("utc", "t_s") if name in header), "")
-    missing = [name for name in ("utc or t_s", *CSV_COLUMNS) if name not in header and (time == "" or " " not in name)]
-    if missing:
-        raise InputError(f"{path}:{lines[0][0] if lines else 1}: columns are missing: {', '.join(missing)}")
-    if len(lines) < 3:
-        raise InputError(f"{path}: has fewer than two states")
-    positions, texts = [f"{path}:{number}" for number, _ in lines[1:]], []
-    states = np.empty((len(positions), 6))
-    for k, (_, line) in enumerate(lines[1:]):
-        row = dict(zip(header, (cell.strip() for cell in next(csv.reader([line]))), strict=False))
-        if len(row) < len(header):
-            raise InputError(f"{positions[k]}: {len(row)} of {len(header)} columns; is the file truncated?")
-        texts.append(row[time])
-        states[k] = [_number(row[name], name, positions[k]) for name in CSV_COLUMNS]
-    if time == "utc":
-        t_s = elapsed_s(clock, texts, "UTC", positions)
-    else:
-        t_s = np.array([_number(text, "t_s", at) for text, at in zip(texts, positions, strict=True)])
-    if (back := np.flatnonzero(np.diff(t_s) <= 0.0)).size:
-        raise InputError(f"{positions[back[0] + 1]}: the time is not after the one before; sort the states by time")
+    t_s, states, _ = read_rows(path, clock, CSV_COLUMNS)
     table = StateTable(t_s, states, "hermite", min(_CSV_NODES, len(t_s)))
     return TabulatedTrajectory.of([Segment(float(t_s[0]), float(t_s[-1]), centre, frame, table)], clock, str(path))
-
-
-def _has_data(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
-
-
-def _number(text: str, name: str, position: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{position}: {name} is '{text}', which is not a finite number")
-    return value

@@ -3,10 +3,21 @@
 About each axis the angle is a stationary Gaussian process of variance rms² and one-sided power spectral density
 rms² s(f), ∫ s df = 1, made of M cosines:
 
-    φ(t) = Σ_m  a_m cos 2π f_m t + b_m sin 2π f_m t,      a_m, b_m ~ N(0, rms²/M)
+    φ(t) = Σ_m  a_m cos 2π f_m t + b_m sin 2π f_m t,      a_m, b_m ~ N(0, rms² w_m)
 
-The band is divided into M parts of equal variance, and f_m is random within each with density s, so that the expected
-autocovariance is that of the spectrum at every lag, and φ is not periodic. It can be evaluated at any time.
+For a frame the band is divided into M parts of equal variance, w = 1/M, and f_m is random within each with density s,
+so that the expected autocovariance is that of the spectrum at every lag, and φ is not periodic. It can be evaluated at
+any time.
+
+Over a sequence, and for spectra from a table, both the slow motion from frame to frame and the fast one within an
+exposure count, and either may be a small part of the variance. Half of the frequencies are then from such parts, and
+half from parts of equal width in log f; each has the variance
+
+    w_m = s(f_m) / (M/2 (s(f_m) + q(f_m))),      q(f) = 1/(f ln(f_max/f_min)),
+
+so that the expectation is the same (both densities sample the integral: the balance heuristic of Veach & Guibas 1995),
+and every octave has lines. Their amplitudes a² + b² = 2 rms² w are not random, only their phases, so that a single
+realisation has the spectrum and the rms asked for; with some seventy lines an octave its angles are Gaussian.
 
 Source: spectral representation of Shinozuka & Deodatis 1991, Appl. Mech. Rev. 44, 191, with random frequencies within
 the parts. Spectra of real spacecraft are given as tables.
@@ -39,19 +50,29 @@ class Jitter:
     """Corner frequency."""
     table: str | None = None
     """CSV file (frequency_hz, psd) with the shape for ``table``."""
+    series: str | None = None
+    """Table of measured angles instead of a spectrum, CSV or Parquet: ``t_s`` (or ``utc``), ``x_arcsec``, ``y_arcsec``,
+    ``z_arcsec``. A sequence follows it in time, a single frame takes a random section of it."""
     axes: str = "camera"
-    """Axes of `rms_arcsec`."""
+    """Axes of `rms_arcsec` and of `series`."""
 
     @property
     def is_off(self) -> bool:
         """Whether there is no jitter."""
-        return not any(self.rms_arcsec)
+        return not any(self.rms_arcsec) and self.series is None
 
 
 NO_JITTER = Jitter()
 
 COMPONENTS = 256
-"""Number of cosines per axis."""
+"""Number of cosines per axis of a frame."""
+
+SEQUENCE_COMPONENTS = 2048
+"""Number of cosines per axis of a sequence, and of a spectrum from a table: the lines of its logarithmic half are 1.1 %
+of their frequency apart."""
+
+_DECADES = 5.0
+"""Frequencies of the logarithmic half begin at this many decades below the highest one."""
 
 LORENTZ_BAND = 8.0
 """A Lorentz spectrum is truncated at this multiple of the corner frequency; the 8 % of its variance beyond are
@@ -147,11 +168,13 @@ class JitterPath:
     """(3, 3): From those axes to camera axes."""
     offset_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
     """(3,): Subtracted from the sum, camera axes."""
+    origin_s: float = 0.0
+    """Time of mid-exposure on the scale of the realisation."""
 
     def at(self, t_s: ArrayLike) -> FloatArray:
         """Rotation vectors (..., 3) in camera axes, radians, from the undisturbed attitude, at seconds from
         mid-exposure."""
-        t = np.asarray(t_s, dtype=float)
+        t = np.asarray(t_s, dtype=float) + self.origin_s
         own = np.empty((*t.shape, 3))
         for axis in range(3):
             phase = 2.0 * np.pi * t[..., None] * self.frequency_hz[:, axis]
@@ -161,7 +184,9 @@ class JitterPath:
     def mean(self, exposure_s: float) -> FloatArray:
         """Mean rotation vector (3,) over an exposure about t = 0, exact: each cosine's is a sin(πfT)/(πfT)."""
         shares = np.sinc(self.frequency_hz * exposure_s)
-        return np.asarray(self.matrix @ (shares * self.cosine_rad).sum(axis=0) - self.offset_rad)
+        phase = 2.0 * np.pi * self.frequency_hz * self.origin_s
+        now = self.cosine_rad * np.cos(phase) + self.sine_rad * np.sin(phase)
+        return np.asarray(self.matrix @ (shares * now).sum(axis=0) - self.offset_rad)
 
     def centred(self, exposure_s: float) -> JitterPath:
         """The same path about its own mean over the exposure."""
@@ -174,13 +199,11 @@ class JitterPath:
 
     def shifted(self, t_s: float) -> JitterPath:
         """The same path with time relative to `t_s`: `shifted(t).at(u)` is `at(t + u)`."""
-        phase = 2.0 * np.pi * self.frequency_hz * t_s
-        cosine, sine = np.cos(phase), np.sin(phase)
-        return replace(
-            self,
-            cosine_rad=self.cosine_rad * cosine + self.sine_rad * sine,
-            sine_rad=self.sine_rad * cosine - self.cosine_rad * sine,
-        )
+        return replace(self, origin_s=self.origin_s + t_s)
+
+    def in_axes(self, matrix: FloatArray) -> JitterPath:
+        """The same path in other axes, into which the matrix (3, 3) transforms the present ones."""
+        return replace(self, matrix=matrix @ self.matrix, offset_rad=matrix @ self.offset_rad)
 
     def rms_rate_rad_s(self) -> FloatArray:
         """Root mean square (3,) of the angular rate, camera axes."""
@@ -193,6 +216,8 @@ def draw_jitter(
     spectrum: Spectrum,
     rng: np.random.Generator,
     body_to_camera: ArrayLike | None = None,
+    *,
+    over_sequence: bool = False,
 ) -> JitterPath | None:
     """One realisation, for one exposure or a whole sequence; None, without using random numbers, if there is no jitter.
 
@@ -206,18 +231,50 @@ def draw_jitter(
         Stream ``jitter`` of the trial, or of the sequence.
     body_to_camera : (3, 3) array, optional
         Matrix of the mounting, for `axes`: ``body``.
+    over_sequence : bool
+        For a sequence. Its realisation does not depend on the number of frames.
 
     Notes
     -----
     The true attitude of a frame is that at mid-exposure plus the mean jitter over the exposure, at which the star
     images are centred. `JitterPath.mean` is this mean and `JitterPath.centred` the remaining jitter, which blurs.
     """
-    if parameters.is_off:
+    if not any(parameters.rms_arcsec):
         return None
-    parts = (np.arange(COMPONENTS)[:, None] + rng.uniform(size=(COMPONENTS, 3))) / COMPONENTS
-    sigma = np.array(parameters.rms_arcsec) * ARCSEC_RAD / math.sqrt(COMPONENTS)
-    cosine, sine = rng.standard_normal((2, COMPONENTS, 3)) * sigma
+    matrix = camera_axes(parameters, body_to_camera)
+    rms_rad = np.array(parameters.rms_arcsec) * ARCSEC_RAD
+    if over_sequence or spectrum.name == "table":
+        frequency, weight = _lines_in_all_octaves(spectrum, rng)
+        amplitude, phase = rms_rad * np.sqrt(2.0 * weight), math.tau * rng.random(frequency.shape)
+        cosine, sine = amplitude * np.cos(phase), amplitude * np.sin(phase)
+    else:
+        frequency = spectrum.quantile(_stratified(COMPONENTS, rng))
+        cosine, sine = rng.standard_normal((2, COMPONENTS, 3)) * (rms_rad / math.sqrt(COMPONENTS))
+    return JitterPath(frequency, cosine, sine, spectrum.max_hz, matrix)
+
+
+def camera_axes(parameters: Jitter, body_to_camera: ArrayLike | None) -> FloatArray:
+    """Matrix (3, 3) from the axes of the jitter to camera axes; `InputError` if the mounting is needed and missing."""
     matrix = np.asarray(body_to_camera, dtype=float) if parameters.axes == "body" else np.eye(3)
     if matrix.shape != (3, 3):
         raise InputError("jitter in body axes needs the matrix (3, 3) of the mounting, body to camera")
-    return JitterPath(spectrum.quantile(parts), cosine, sine, spectrum.max_hz, matrix)
+    return matrix
+
+
+def _stratified(count: int, rng: np.random.Generator) -> FloatArray:
+    """Numbers (count, 3) between 0 and 1, one in each of `count` equal parts about each axis."""
+    return np.asarray((np.arange(count)[:, None] + rng.uniform(size=(count, 3))) / count)
+
+
+def _lines_in_all_octaves(spectrum: Spectrum, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Frequencies (M, 3), Hz, and their shares of the variance (M, 3)."""
+    half = SEQUENCE_COMPONENTS // 2
+    by_variance = spectrum.quantile(_stratified(half, rng))
+    span = _DECADES * math.log(10.0)
+    by_octave = spectrum.max_hz * np.exp(span * (_stratified(half, rng) - 1.0))
+    frequency = np.concatenate([by_variance, by_octave])
+    density = spectrum.per_hz(frequency)
+    with np.errstate(divide="ignore"):
+        logarithmic = np.where(frequency >= spectrum.max_hz * 10.0**-_DECADES, 1.0 / (frequency * span), 0.0)
+    total = half * (density + logarithmic)
+    return frequency, np.divide(density, total, out=np.zeros_like(total), where=total > 0.0)

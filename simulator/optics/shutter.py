@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.optics.jitter import JitterPath
+from simulator.optics.drift import Drift, longest_drift_px
+from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.smear import (
     DEFAULT_FEATURE_PX,
     DEFAULT_MARGIN_PX,
@@ -59,7 +60,8 @@ def rolling_paths(
     line_time_s: float,
     feature_px: float = DEFAULT_FEATURE_PX,
     margin_px: float = DEFAULT_MARGIN_PX,
-    jitter: JitterPath | None = None,
+    jitter: JitterMotion | None = None,
+    drift: Drift | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pixel positions of stars during the exposure of their rows.
 
@@ -70,6 +72,8 @@ def rolling_paths(
         row.
     line_time_s : float
         Delay between the starts of successive rows.
+    drift : Drift, optional
+        Motion of the sources themselves, in place of `directions`.
 
     Returns
     -------
@@ -94,7 +98,11 @@ def rolling_paths(
 
     def position(t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, K, 2) and cosines (N, K) of the angle off the axis at moments (N, K)."""
-        vectors = np.einsum("nkij,nj->nki", rotation_matrices(-rate * t[..., None]), directions)
+        turning = rotation_matrices(-rate * t[..., None])
+        if drift is None:
+            vectors = np.einsum("nkij,nj->nki", turning, directions)
+        else:
+            vectors = np.einsum("nkij,nkj->nki", turning, drift.at(t))
         if shaking is not None:
             vectors = np.einsum("nkij,nkj->nki", rotation_matrices(-shaking(t)), vectors)
         return camera.project(vectors.reshape(-1, 3)).reshape(*t.shape, 2), vectors[..., 2]
@@ -111,7 +119,10 @@ def rolling_paths(
     held = exposed < _LONGEST  # false for NaN
     exposed = np.where(held, exposed, 1.0)
     longest = float(exposed.max(initial=1.0))
-    length_px = longest_path_px(camera, directions, -rate * exposure_s * longest, limit_rad)
+    if drift is None:
+        length_px = longest_path_px(camera, directions, -rate * exposure_s * longest, limit_rad)
+    else:
+        length_px = longest_drift_px(camera, drift, rate, exposure_s * longest, limit_rad)
     cycles = 0.0
     if jitter is not None:
         length_px += wander_length_px(camera, jitter, exposure_s * longest, limit_rad)
@@ -194,7 +205,7 @@ def frame_transfer_smear(
     return gathered if direction == "up" else np.ascontiguousarray(gathered[::-1])
 
 
-def _spline(jitter: JitterPath, reach_s: float) -> CubicSpline:
+def _spline(jitter: JitterMotion, reach_s: float) -> CubicSpline:
     """The path from −reach to +reach as a spline, which is faster than its cosines if each star has its own moments."""
     from scipy.interpolate import CubicSpline
 

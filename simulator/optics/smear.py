@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.pupil import legendre
 from startracker.camera import Camera
 from startracker.image_map import ImageMap, to_pixels
@@ -68,7 +68,7 @@ def star_paths(
     exposure_s: float,
     feature_px: float = DEFAULT_FEATURE_PX,
     margin_px: float = DEFAULT_MARGIN_PX,
-    jitter: JitterPath | None = None,
+    jitter: JitterMotion | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Pixel positions of stars during an exposure with a constant body rate and jitter.
 
@@ -90,7 +90,7 @@ def star_paths(
         Finest structure of the PSF, pixels; determines the number of moments.
     margin_px : float
         Margin around the image in which paths are computed: at least the radius of the largest disk that may overlap.
-    jitter : JitterPath, optional
+    jitter : JitterMotion, optional
         Small rotation of the camera during the exposure (`simulator.optics.jitter`).
 
     Returns
@@ -121,7 +121,7 @@ def path_limit_rad(camera: Camera, margin_px: float) -> float:
     return min(camera.half_diagonal_rad + margin_px * camera.pixel_rad, camera.limit_rad)
 
 
-def wander_length_px(camera: Camera, jitter: JitterPath, exposure_s: float, limit_rad: float) -> float:
+def wander_length_px(camera: Camera, jitter: JitterMotion, exposure_s: float, limit_rad: float) -> float:
     """Length of the path due to jitter alone at the edge of the field at its maximum speed, pixels.
 
     The sampling must be sufficient at the maximum speed: twice the rms rate gives the mean image to 1e-4 of its peak

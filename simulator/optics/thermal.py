@@ -9,15 +9,41 @@ the detector, µm/K along columns and rows: the whole image is displaced, which 
 
 The sky is rendered with the true camera; the frame has the calibrated one, so that the tracker sees the error.
 
+The temperature is T = mean + swing · sin(2π t / period), with the time t since the epoch.
+
 Validity: a uniform temperature (no gradients), linear in T. Source: D. S. Grey, "Athermalization of optical systems",
 J. Opt. Soc. Am. 38 (1948) 542.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 
 from startracker.camera import Camera
+
+__all__ = ["LensTemperature", "true_camera"]
+
+
+@dataclass(frozen=True)
+class LensTemperature:
+    """Temperature of the lens over time, and its effect on the camera."""
+
+    expansion_ppm_k: float = 0.0
+    """Relative change of the focal length per kelvin, 1e-6."""
+    decentring_px_k: tuple[float, float] = (0.0, 0.0)
+    """Motion of the principal point per kelvin, pixels along columns and rows."""
+    warmer_k: float = 0.0
+    """Mean temperature above that of the calibration."""
+    swing_k: float = 0.0
+    """Amplitude of the periodic part."""
+    period_s: float = 6000.0
+    """Its period."""
+
+    def camera_at(self, calibrated: Camera, t_s: float) -> Camera:
+        """Camera at a time, seconds after the epoch; the calibrated one if nothing changes."""
+        swing_k = self.swing_k * math.sin(2.0 * math.pi * t_s / self.period_s)
+        return true_camera(calibrated, self.expansion_ppm_k, self.warmer_k + swing_k, self.decentring_px_k)
 
 
 def true_camera(

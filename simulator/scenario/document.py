@@ -43,6 +43,8 @@ class Value:
 
     data: Any
     location: Location
+    items: tuple[Table | Value, ...] = ()
+    """For a list, its items with their locations."""
 
 
 @dataclass
@@ -239,11 +241,11 @@ class _Builder:
     def sequence(self, event: Any, location: Location, depth: int) -> Value:
         if self.too_deep(event, depth):
             return Value(REPORTED, location)
-        items = []
+        nodes = []
         while type(item := next(self.events)).__name__ != "SequenceEndEvent":
-            node = self.node(item, depth + 1)
-            items.append(node.plain() if isinstance(node, Table) else node.data)
-        return Value(REPORTED if REPORTED in items else items, location)
+            nodes.append(self.node(item, depth + 1))
+        items = [node.plain() if isinstance(node, Table) else node.data for node in nodes]
+        return Value(REPORTED if REPORTED in items else items, location, tuple(nodes))
 
     def table(self, event: Any, location: Location, depth: int) -> Table:
         table = Table(location)

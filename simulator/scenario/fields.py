@@ -152,6 +152,8 @@ def check_value(key: Key, data: Any) -> tuple[Any, str]:
             hint = f": {error}" if str(error) else ""
     try:
         return _adapter(key)(tuple(data) if isinstance(data, list) else data), ""
+    except ItemError as error:
+        return None, f"must be {describe(key.annotation)}; {error}"
     except (ValueError, OverflowError):  # pydantic's error is a ValueError
         return None, f"must be {describe(key.annotation)}, not {show_value(given)}{hint}"
 
@@ -182,12 +184,15 @@ def describe(annotation: Any) -> str:
         parts = [describe(part) for part in get_args(base)]
         return _join(["a name" if part == "text" else part for part in parts])
     if section := item_section(annotation):
-        return f"a list of {{{', '.join(keys_of(section))}}}"
+        names = list(keys_of(section))
+        return f"a list of {{{', '.join(names[:4])}{', …' if len(names) > 4 else ''}}}"
     if get_origin(base) is tuple:
         items = get_args(base)
         return f"a list of {len(items)} numbers{_bounds(_strip(items[0])[1])}"
     if "pattern" in limits:
         return "a name of letters, digits, '.', '_' and '-' that starts with a letter or digit"
+    if get_origin(base) is dict:
+        return "a section with keys"
     words = {
         float: "a number",
         int: "a whole number",
@@ -270,7 +275,7 @@ def _adapter(key: Key) -> Callable[[Any], Any]:
 def _make_adapter(key: Key) -> Callable[[Any], Any]:
     if section := item_section(key.annotation):
         columns = keys_of(section, f"{key.path}[]")
-        return lambda items: tuple(_item(section, columns, item) for item in _list(items))
+        return lambda items: tuple(_item(section, columns, item, n) for n, item in enumerate(_list(items)))
     adapter: TypeAdapter[Any] = TypeAdapter(key.annotation)
     finite = {_strip(part)[0] for part in _branches(key.annotation)} == {float}
 
@@ -292,17 +297,26 @@ def _list(items: Any) -> tuple[Any, ...]:
     return items
 
 
-def _item(section: type, columns: Mapping[str, Key], item: Any) -> Any:
+class ItemError(ValueError):
+    """An item of a list of sections that is invalid; its text says which and why."""
+
+
+def _item(section: type, columns: Mapping[str, Key], item: Any, number: int) -> Any:
     """An item of a list of sections, from a mapping or unchanged, with each value checked."""
+    if not isinstance(item, (dict, section)):
+        raise ItemError(f"item {number + 1} is {show_value(item)}")
     given = item if isinstance(item, dict) else {name: getattr(item, name, MISSING) for name in columns}
     values: dict[str, Any] = {}
     for name, key in columns.items():
         data = given.get(name, key.default)
-        values[name], message = (None, "missing") if data is MISSING else check_value(key, data)
+        values[name], message = (None, "is missing") if data is MISSING else check_value(key, data)
         if message:
-            raise ValueError(message)
-    if set(given) - set(values):
-        raise ValueError("unknown key")
+            raise ItemError(f"item {number + 1}: {name} {message}")
+    if unknown := [name for name in given if name not in values]:
+        close = difflib.get_close_matches(str(unknown[0]), values, n=1)
+        raise ItemError(
+            f"item {number + 1}: unknown key '{unknown[0]}'" + (f"; did you mean '{close[0]}'?" if close else "")
+        )
     return section(**values)
 
 

@@ -9,12 +9,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simulator.mission.parameters import FILES
+from simulator.mission.parameters import ATTITUDE_FILES, FILES
 from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, read_text, show_value
 from simulator.scenario.errors import Location, Problem
 from simulator.scenario.overrides import merge
 
-ALWAYS_FILES = tuple(f"orbit.{key}" for key in FILES)
+ALWAYS_FILES = (
+    *(f"orbit.{key}" for key in FILES),
+    *(f"pointing.track.spacecraft.{key}" for key in FILES),
+    "pointing.jitter.series",
+    *(f"pointing.attitude.{key}" for key in (*ATTITUDE_FILES, "sclk")),
+    "sky.satellites.file",
+)
 """Keys that name a file, relative to the scenario file, or for ``--set`` to the working folder."""
 FILE_KEYS = (
     "optics.transmission",
@@ -107,6 +113,12 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
 
 def absolute_files(tree: Table, folder: str) -> Table:
     """Names of files as absolute paths, so that they remain valid in another folder."""
+    heads = tree.entries.get("heads")
+    if heads and isinstance(heads.node, Value) and heads.node.items:
+        items = tuple(absolute_files(item, folder) if isinstance(item, Table) else item for item in heads.node.items)
+        data = [item.plain() if isinstance(item, Table) else item.data for item in items]
+        value = Value(data, heads.node.location, items)
+        tree = merge(tree, Table(tree.location, {"heads": Entry(heads.location, value)}))
     for path in FILE_KEYS:
         tables, keys = [tree], path.split(".")
         for key in keys[:-1]:

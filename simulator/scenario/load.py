@@ -16,10 +16,20 @@ from typing import Any, Self
 
 from pydantic import PrivateAttr, model_validator
 
-from simulator.scenario import physics
-from simulator.scenario.document import REPORTED, Table, Value, parse_document, show_value
+from simulator.scenario import heads, physics
+from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, show_value
 from simulator.scenario.errors import Location, Problem, ScenarioError, Violation
-from simulator.scenario.fields import MISSING, Key, NameChecks, all_keys, check_value, flatten, keys_of, nest
+from simulator.scenario.fields import (
+    MISSING,
+    Key,
+    NameChecks,
+    all_keys,
+    check_value,
+    flatten,
+    item_section,
+    keys_of,
+    nest,
+)
 from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, read_chain, with_base
 from simulator.scenario.overrides import apply_overrides, merge, set_option, set_values
 from simulator.scenario.quantities import as_written
@@ -186,7 +196,10 @@ class Scenario(ScenarioModel):
     def files(self) -> dict[str, Path]:
         """Files named by its values, by dotted key."""
         flat = flatten(self)
-        named = {key: self.base_dir / value for key in FILE_KEYS if isinstance(value := flat[key], str)}
+        for k, head in enumerate(self.heads):
+            flat |= {f"heads[{k}].{key}": value for key, value in heads.head_values(head).items()}
+        keys = [key for key in flat if key.partition("].")[2] in FILE_KEYS or key in FILE_KEYS]
+        named = {key: self.base_dir / value for key in keys if isinstance(value := flat[key], str)}
         return {key: file for key, file in named.items() if file.is_file()}
 
     def with_values(self, *, trials: int | None = None, seed: int | None = None) -> Scenario:
@@ -244,8 +257,9 @@ def _build(
         if not (violation.overridable and allowed):
             problems.append(Problem(_location_of(tree, violation.key), violation.key, _advice(violation)))
     for path, check in (names or {}).items():
-        if path in flat and (message := check(flat[path], flat)):
-            problems.append(Problem(_location_of(tree, path), path, message))
+        for written, values in ((path, flat), *heads.values_of_heads(path, flat)):
+            if path in values and (message := check(values[path], values)):
+                problems.append(Problem(_location_of(tree, written), written, message))
     if problems:
         raise ScenarioError(problems)
     for problem in _unread(tree, flat):
@@ -304,7 +318,7 @@ def _check_table(
             data = found.node.plain() if isinstance(found.node, Table) else found.node.data
             value, message = check_value(key, data)
             if message:
-                problems.append(Problem(found.location, key.path, message))
+                problems.append(Problem(_location_of_item(key, found), key.path, message))
             else:
                 flat[key.path] = value
         elif key.default is MISSING:
@@ -314,6 +328,14 @@ def _check_table(
         else:
             flat[key.path] = key.default
     return flat
+
+
+def _location_of_item(key: Key, found: Entry) -> Location:
+    """Location of an invalid value; in a list of sections, that of its first invalid item."""
+    items = found.node.items if isinstance(found.node, Value) and item_section(key.annotation) else ()
+    plain = [item.plain() if isinstance(item, Table) else item.data for item in items]
+    wrong = [item.location for item, data in zip(items, plain, strict=True) if check_value(key, [data])[1]]
+    return wrong[0] if wrong else found.location
 
 
 def _unknown(name: str, prefix: str, keys: Mapping[str, Key], option: bool) -> str:
@@ -336,11 +358,15 @@ def _location_of(tree: Table, path: str) -> Location:
     """Location of a key, otherwise that of its section, otherwise the file."""
     location, node = Location(tree.location.source), tree
     for part in path.split("."):
-        entry = node.entries.get(part)
+        name, _, number = part.rstrip("]").partition("[")
+        entry = node.entries.get(name)
         if entry is None:
             break
-        location = entry.location
-        if not isinstance(entry.node, Table):
+        location, inner = entry.location, entry.node
+        if number and isinstance(inner, Value) and int(number) < len(inner.items):
+            inner = inner.items[int(number)]
+            location = inner.location
+        if not isinstance(inner, Table):
             break
-        node = entry.node
+        node = inner
     return location

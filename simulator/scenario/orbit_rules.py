@@ -11,6 +11,7 @@ from simulator.mission.kepler import periapsis_km
 from simulator.mission.parameters import FILES
 from simulator.mission.trajectory import GM_KM3_S2
 from simulator.scenario.errors import Violation, impossible, unphysical
+from simulator.scenario.pointing_rules import attitude_ends
 
 LOWEST_KM = 150.0
 _RADIUS_KM = {"Earth": EARTH_RADIUS_KM, "Moon": 1737.4, "Sun": 695_700.0}
@@ -37,8 +38,9 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         yield impossible(f"orbit.state.{missing}", "a state vector needs both position_km and velocity_km_s")
     yield from _propagator(v, given[0].partition(".")[0] if given else "circular")
     yield from _periapsis(v)
-    if v["study.sampling"] == "span" and not any(key in FILES for key in given):
-        yield impossible("study.sampling", "span is for orbits from a file, which end; use mission_year or orbit")
+    if v["study.sampling"] == "span" and not any(key in FILES for key in given) and not attitude_ends(v):
+        message = "span is for orbits and attitudes that end, such as those of a file; use mission_year or orbit"
+        yield impossible("study.sampling", message)
     if v["orbit.centre"] != "Earth" and not given:
         yield impossible("orbit.centre", "circular orbits are around the Earth; give orbit.elements or a state")
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from simulator.scenario.fields import MISSING, Key, is_section, item_section, keys_of
 from simulator.scenario.schema import ScenarioModel
+from simulator.scenario.schema_heads import OVERRIDDEN, HeadSection
 
 SCHEMA_ID = "https://json-schema.org/draft/2020-12/schema"
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*( [A-Za-z0-9_./-]+)*")
@@ -57,6 +58,8 @@ def yaml_value(value: Any) -> str:
         return value.astimezone(UTC).isoformat().replace("+00:00", "Z")
     if isinstance(value, (tuple, list)):
         return "[" + ", ".join(map(yaml_value, value)) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{yaml_value(name)}: {yaml_value(inner)}" for name, inner in value.items()) + "}"
     kind: Any = type(value)
     if is_section(kind):
         keys = keys_of(kind)
@@ -113,7 +116,7 @@ def _object_schema(section: type, prefix: str, needed: dict[str, Any]) -> dict[s
                 needed["required"].append(name)
                 needed["properties"][name] = {"required": inner["required"]}
         else:
-            body = _list_schema(key) or TypeAdapter(key.annotation).json_schema()
+            body = _list_schema(key) or _overridden_schema(key) or TypeAdapter(key.annotation).json_schema()
             if key.default is MISSING:
                 needed["required"].append(name)
             else:
@@ -124,6 +127,13 @@ def _object_schema(section: type, prefix: str, needed: dict[str, Any]) -> dict[s
         if words := key.description.replace("``", "").replace("`", ""):
             properties[name]["description"] = words
     return {"type": "object", "additionalProperties": False, "properties": properties}
+
+
+def _overridden_schema(key: Key) -> dict[str, Any] | None:
+    """Schema of the keys of a section that a head overrides; None for any other key."""
+    if key.owner is not HeadSection or key.name not in OVERRIDDEN:
+        return None
+    return {"anyOf": [{"$ref": f"#/properties/{key.name}"}, {"type": "null"}]}
 
 
 def _list_schema(key: Key) -> dict[str, Any] | None:

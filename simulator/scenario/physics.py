@@ -13,7 +13,7 @@ from datetime import timedelta
 from typing import Any
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
-from simulator.scenario import detector_rules, orbit_rules, sequence_rules
+from simulator.scenario import detector_rules, heads, orbit_rules, pointing_rules, sequence_rules
 from simulator.scenario.errors import Violation, impossible, unphysical
 from simulator.scenario.sequence_rules import EPHEMERIS
 
@@ -114,21 +114,6 @@ def _epoch(v: Values) -> Iterator[Violation]:
         yield impossible("epoch", message)
 
 
-def _mounting(v: Values) -> Iterator[Violation]:
-    mounting = v["pointing.mounting"]
-    if not isinstance(mounting, str) and math.hypot(*mounting) < 1e-6:
-        yield impossible(
-            "pointing.mounting", "a quaternion of zeros is not a rotation; use [0, 0, 0, 1] for no rotation"
-        )
-
-
-def _spin(v: Values) -> Iterator[Violation]:
-    if v["pointing.spin.rate_deg_s"] and v["pointing.target"] is not None:
-        yield impossible(
-            "pointing.spin.rate_deg_s", "a freely spinning body cannot hold a pointing.target; remove one of them"
-        )
-
-
 def _tether(v: Values) -> Iterator[Violation]:
     if v["tether.diameter_mm"] == 0.0:
         return
@@ -189,11 +174,6 @@ def _vignetting(v: Values) -> Iterator[Violation]:
         yield impossible(
             "optics.vignetting.mechanical_end_deg", f"the half field of a pinhole is below 90°, not {end:g}°"
         )
-
-
-def _jitter(v: Values) -> Iterator[Violation]:
-    if v["pointing.jitter.psd"] == "table" and v["pointing.jitter.table"] is None:
-        yield impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
 
 
 def _pitch_um(v: Values) -> tuple[float, float]:
@@ -313,14 +293,12 @@ RULES: tuple[Rule, ...] = (
     _altitude,
     _sun_synchronous,
     _epoch,
-    _mounting,
-    _spin,
+    pointing_rules.contradictions,
     _tether,
     _f_number,
     _field,
     _lens_coefficients,
     _vignetting,
-    _jitter,
     _pixel,
     _psf_keys,
     _diffraction,
@@ -332,6 +310,7 @@ RULES: tuple[Rule, ...] = (
     detector_rules.contradictions,
     detector_rules.telegraph_times,
     sequence_rules.contradictions,
+    heads.contradictions,
     _guide_stars,
     _window,
     _least_and_most("sky.magnitude_limit", "sky.faint_magnitude_limit"),

@@ -15,6 +15,7 @@ from simulator.detector.parameters import CosmicRays, DisplacementDamage, Intens
 from simulator.environment.parameters import Environment
 from simulator.mission.parameters import (
     ForceModel,
+    GroundTarget,
     Gyro,
     KeplerianElements,
     OrbitParameters,
@@ -22,6 +23,9 @@ from simulator.mission.parameters import (
     RatePoint,
     Slew,
     Spin,
+    Track,
+    Waypoint,
+    Waypoints,
 )
 from simulator.optics.displacement import CalibrationResidual
 from simulator.optics.ghosts import Ghost
@@ -32,14 +36,21 @@ from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.tether import Tether
 from simulator.scenario.schema_base import Count, Fraction, NonNegative, Positive, Section
 from simulator.scenario.schema_camera import DetectorSection, OpticsSection
+from simulator.scenario.schema_heads import HeadSection
 from simulator.scenario.schema_sequence import SequenceSection
 from simulator.scenario.schema_specification import SpecificationSection
 from simulator.sky.catalogue_errors import CatalogueErrors
-from simulator.sky.parameters import Sky
+from simulator.sky.parameters import SatelliteParameters, SatelliteSize, Sky
 from simulator.sky.star_counts import FAINTEST_V
-from startracker.settings import AnyIdentificationSettings, CentroidSettings, DetectionSettings, OperationSettings
+from startracker.settings import (
+    AnyIdentificationSettings,
+    CentroidSettings,
+    DetectionSettings,
+    InFlightSettings,
+    OperationSettings,
+)
 
-__all__ = ["LIMITS", "DetectorSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
+__all__ = ["LIMITS", "DetectorSection", "HeadSection", "OpticsSection", "ScenarioModel", "Section", "SequenceSection"]
 
 
 def _utc(value: datetime) -> datetime:
@@ -72,6 +83,8 @@ class TrackerSection(Section):
     """Settings of the identification; settings that the `identifier` does not use are reported as errors."""
     catalogue_errors: CatalogueErrors = CatalogueErrors()
     """Errors of the tracker's catalogue against the sky."""
+    in_flight_calibration: InFlightSettings = InFlightSettings()
+    """Calibration in flight, in sequences."""
 
 
 class StudySection(Section):
@@ -118,6 +131,10 @@ class ScenarioModel(Section):
     """The study."""
     sequence: SequenceSection = SequenceSection()
     """The sequence of ``run --sequence``."""
+    heads: tuple[HeadSection, ...] = ()
+    """Several cameras, whose attitudes the sequence fuses with the gyro; a list. Each has its own values of lens,
+    detector and tracker where it states them, and otherwise those of the scenario. The first head is the reference: the
+    fused attitude is given in its axes. Without heads the spacecraft has the one camera of the scenario."""
     specification: SpecificationSection = SpecificationSection()
     """Required performance."""
     allow_unphysical: bool = False
@@ -149,6 +166,14 @@ LIMITS: dict[type, dict[str, Any]] = {
         "corner_hz": Positive,
         "axes": Literal["camera", "body"],
     },
+    Waypoint: {"dec_deg": Annotated[float, Field(ge=-90, le=90)]},
+    Waypoints: {"max_rate_deg_s": Positive, "acceleration_deg_s2": Positive},
+    GroundTarget: {
+        "latitude_deg": Annotated[float, Field(ge=-90, le=90)],
+        "longitude_deg": Annotated[float, Field(ge=-180, le=360)],
+        "height_km": Annotated[FiniteFloat, Field(ge=-12, le=1e6)],
+    },
+    Track: {"direction_deg": tuple[float, Annotated[float, Field(ge=-90, le=90)]]},
     RatePoint: {"at_s": NonNegative},
     Slew: {"max_rate_deg_s": Positive, "acceleration_deg_s2": Positive, "start_s": NonNegative},
     Gyro: {
@@ -163,6 +188,17 @@ LIMITS: dict[type, dict[str, Any]] = {
         "background_s10": NonNegative,
         "background_model": Literal["constant", "leinert1998"],
         "earth_albedo": Fraction,
+    },
+    SatelliteSize: {
+        "diameter_m": Positive | None,
+        "albedo": Fraction | None,
+        "standard_magnitude": FiniteFloat | None,
+    },
+    SatelliteParameters: {
+        "diameter_m": Positive,
+        "albedo": Fraction,
+        "standard_magnitude": FiniteFloat | None,
+        "max_age_days": Positive,
     },
     Tether: {"diameter_mm": NonNegative, "albedo": Fraction},
     FieldAberrations: {
@@ -224,6 +260,18 @@ LIMITS: dict[type, dict[str, Any]] = {
         "max_centroids": Annotated[int, Field(ge=3)],
         "max_operations": Count,
         "max_operations_free_scale": Count,
+    },
+    InFlightSettings: {
+        **dict.fromkeys(("focal_length_ppm", "principal_point_px", "distortion_px", "psf_width_px"), Positive),
+        **dict.fromkeys(("focal_length_drift_ppm_sqrt_h", "principal_point_drift_px_sqrt_h"), NonNegative),
+        **dict.fromkeys(
+            ("distortion_drift_px_sqrt_h", "psf_width_drift_px_sqrt_h", "star_error_px", "shift_px"), NonNegative
+        ),
+        "false_rejection": Annotated[FiniteFloat, Field(gt=0, lt=1)],
+        "defect_frames": Annotated[int, Field(ge=0)],
+        "defect_share": Annotated[FiniteFloat, Field(gt=0, le=1)],
+        "defect_sigma": Positive,
+        "defect_shift_px": Positive,
     },
     OperationSettings: {
         "saturated_pixels": Annotated[int, Field(ge=0)],

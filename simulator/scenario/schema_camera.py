@@ -26,7 +26,12 @@ class ThermalSection(Section):
     reference_c: FiniteFloat = 20.0
     """Temperature for which `focal_length_mm` is given and at which the tracker's camera was calibrated."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
-    """Temperature of the lens."""
+    """Mean temperature of the lens."""
+    swing_k: NonNegative = 0.0
+    """Amplitude of the temperature, which is `temperature_c` + `swing_k` · sin(2π t / `swing_period_s`) at the time t
+    after the epoch."""
+    swing_period_s: Positive = 6000.0
+    """Period of the temperature, such as that of the orbit."""
 
 
 class BaffleSection(Section):

@@ -8,6 +8,42 @@ from startracker.display import changed_fields
 
 
 @dataclass(frozen=True)
+class SatelliteSize:
+    """Size or brightness of one satellite of the list; null: as for all."""
+
+    object: str | int
+    """Its name or catalogue number."""
+    diameter_m: float | None = None
+    """Diameter of the sphere."""
+    albedo: float | None = None
+    """Its albedo."""
+    standard_magnitude: float | None = None
+    """Its magnitude at 1000 km and a phase angle of 90°."""
+
+
+@dataclass(frozen=True)
+class SatelliteParameters:
+    """Artificial satellites and debris: diffusely reflecting spheres in sunlight, on the orbits of a list."""
+
+    file: str | None = None
+    """File of two-line elements, or of CCSDS OMM (``.omm``, ``.kvn``, ``.xml``), propagated by SGP4; null: no
+    satellites. The spacecraft's own elements may be among them."""
+    diameter_m: float = 1.0
+    """Diameter of the spheres."""
+    albedo: float = 0.175
+    """Their albedo: fraction of the sunlight that is scattered. 0.175 is the mean of debris (Mulrooney et al. 2008,
+    AMOS)."""
+    standard_magnitude: float | None = None
+    """V at a distance of 1000 km and a phase angle of 90°, in place of that by diameter and albedo."""
+    objects: tuple[SatelliteSize, ...] = ()
+    """Satellites with a size or brightness of their own."""
+    max_age_days: float = 30.0
+    """Longest time between the epoch of elements and a frame; the error of SGP4 grows by some km a day."""
+
+    __repr__ = changed_fields
+
+
+@dataclass(frozen=True)
 class Sky:
     """Contents of the sky, and effects on apparent positions and brightness."""
 
@@ -43,5 +79,7 @@ class Sky:
     """Lambert albedo of the Earth's surface and clouds."""
     phases: bool = True
     """Render the phases of the Moon and planets; false: uniform full disks."""
+    satellites: SatelliteParameters = SatelliteParameters()
+    """Artificial satellites and debris."""
 
     __repr__ = changed_fields

@@ -162,6 +162,11 @@ class GuideDatabase:
         directions = apparent_directions(start, motion, parallax, years, position, beta)
         return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
+    def rows_of(self, catalog_id: IntArray) -> IntArray:
+        """Rows (M,) of stars by their numbers in the catalogue, which must be guide stars."""
+        order = np.argsort(self.catalog.id, kind="stable")
+        return np.asarray(order[np.searchsorted(self.catalog.id, catalog_id, sorter=order)])
+
     def _space_motion(self) -> list[FloatArray]:
         """Directions and space motion per Julian year at the catalogue's epoch, (3, G) each; cached."""
         if not self._motion:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from startracker.centroid.frame import Prepared, measure_moments, prepare
-from startracker.centroid.psf_kernel import Starts, fit_stars
+from startracker.centroid.psf_kernel import FITTED, Starts, fit_stars
 from startracker.centroid.psf_model import PsfModel
 from startracker.centroid.psf_shape import frame_psf
 from startracker.detection.background import Background
@@ -114,7 +114,7 @@ def build_effective_psf(
     coefficients = inverse @ psf.shares(grid, grid[:, None]) @ inverse.T
     for _ in range(_ROUNDS):
         psf = _as_model(on_grid @ coefficients @ on_grid.T, shape)
-        fits = np.full((len(stars), 8), np.nan)
+        fits = np.full((len(stars), FITTED), np.nan)
         for number, frame in enumerate(prepared):
             rows = np.flatnonzero(stars[:, 1] == number)
             x, y = stars[rows, 2:].T.copy()

@@ -135,12 +135,16 @@ def collect(
 ) -> Centroids:
     """Centroids of the finite rows of a table of measurements: with the floor and the neighbours' light added.
 
-    `together` numbers stars that were measured jointly; their light does not disturb each other.
+    A position with an error larger than the window is left out, as the detection alone is better. `together` numbers
+    stars that were measured jointly; their light does not disturb each other.
     """
     finite = np.isfinite(table.sum(axis=1))
     order = np.argsort(np.where(finite, -table[:, 2], np.inf), kind="stable")[: np.count_nonzero(finite)]
     rows = table[order]
     covariance = _covariances(rows, sigmas, half, order if together is None else together[order], systematic_px)
+    known = covariance[:, 0, 0] + covariance[:, 1, 1] <= 2.0 * (half + 0.5) ** 2
+    if not known.all():
+        order, rows, covariance = order[known], rows[known], covariance[known]
     return Centroids(np.ascontiguousarray(rows[:, :2]), rows[:, 2], covariance, spots.saturated[order])
 
 

@@ -37,6 +37,8 @@ SYSTEMATIC_PX = 0.001
 star image that is not the assumed one shows in the residuals of the fit, and counts there."""
 MISFIT_SIGMA = 4.0
 """Excess of a fit's χ² over its mean, in standard deviations, from which the covariance is as many times as large."""
+_SURELY_HOT = 10.0
+"""Times as likely as a star that a hot pixel must be."""
 _ASTRAY_PX = 1.5
 
 
@@ -113,7 +115,9 @@ def maximum_likelihood(
     The covariance further has a floor of 0.001 px, and is χ² per degree of freedom times as large where that is more
     than four standard deviations above one, unless the brightest stars all misfit (`Centroids.misfit`): then the
     assumed image is wrong, which need not move the stars, and their residuals show how large the errors are. A star
-    that cannot be fitted gets its `first_moment`.
+    that cannot be fitted gets its `first_moment`. Unless the assumed image is wrong, detections are left out that are
+    ten times likelier a hot pixel than a star (by the likelihoods of both, and the numbers of hot pixels and stars
+    found), or whose position is known no better than the width of a star image.
 
     Parameters
     ----------
@@ -151,7 +155,9 @@ def _fit(
     fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
     excess = (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
     misfit = misfit_of_brightest(fits[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
-    table = _accepted(fits, moments, group, misfit is None or misfit < MISFIT_SIGMA)
+    blends = misfit is None or misfit < MISFIT_SIGMA
+    hot = (1 + spots.rejected.get("hot pixel", 0)) / (1 + len(spots)) / _SURELY_HOT
+    table = _accepted(fits, moments, group, blends, psf.shape[0] + psf.shape[1], 2.0 * math.log(hot))
     common = None
     if frame.settings.psf is None:
         half = int(starts.half.min())
@@ -161,18 +167,30 @@ def _fit(
 
 
 @kernel
-def _accepted(fits: FloatArray, moments: FloatArray, group: IntArray, blends: bool) -> FloatArray:
+def _accepted(
+    fits: FloatArray, moments: FloatArray, group: IntArray, blends: bool, image_px2: float, odds_hot: float
+) -> FloatArray:
     """Measurements (N, 6) by fits, with a larger covariance where χ² is too large, as of `blends`; by moments where a
-    fit failed, and such a star counts as apart from its group."""
+    fit failed, and such a star counts as apart from its group.
+
+    If the assumed star image is right (`blends`), NaN where the detection is a hot pixel, twice the logarithm of whose
+    prior odds is `odds_hot`, where no star can be fitted and one pixel explains the window, and where χ² makes the
+    error exceed the width of the star image, whose variances sum to `image_px2`: a pixel's residual then has more light
+    than the star.
+    """
     out = np.empty((len(fits), MEASURED))
     for n in range(len(fits)):
         misfit, factor, finite = fits[n, 6] / fits[n, 7], 1.0, True
-        if blends and misfit > 1.0 + MISFIT_SIGMA * math.sqrt(2.0 / fits[n, 7]):
+        most = 1.0 + MISFIT_SIGMA * math.sqrt(2.0 / fits[n, 7])
+        if blends and misfit > most:
             factor = misfit
         for k in range(MEASURED):
             out[n, k] = fits[n, k] * (factor if k > 2 else 1.0)
             finite = finite and math.isfinite(out[n, k])
-        if not finite:
+        hot = fits[n, 8] < (fits[n, 6] + odds_hot if finite else most * fits[n, 7])
+        if blends and (hot or out[n, 3] + out[n, 4] > image_px2):
+            out[n, 0] = np.nan
+        elif not finite:
             group[n] = len(fits) + n
             for k in range(MEASURED):
                 out[n, k] = moments[n, k]

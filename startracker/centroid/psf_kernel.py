@@ -23,8 +23,9 @@ Two: TypeAlias = tuple[float, float]
 Three: TypeAlias = tuple[float, float, float]
 Four: TypeAlias = tuple[float, float, float, float]
 
-FITTED = 8
-"""Columns of a fit: x, y, flux, var x, var y, cov xy, χ², degrees of freedom."""
+FITTED = 9
+"""Columns of a fit: x, y, flux, var x, var y, cov xy, χ², degrees of freedom, and χ² of a single bright pixel instead
+of the star (NaN for stars fitted together)."""
 MOST_TOGETHER = 8
 """Stars fitted jointly at most."""
 _ITERATIONS = 25
@@ -81,7 +82,8 @@ def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
 
 @kernel
 def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, reweigh: bool) -> FloatArray:
-    """Fits (N, 8), see `FITTED`, of stars whose approximate positions are given; NaN where a fit fails.
+    """Fits (N, 9), see `FITTED`, of stars whose approximate positions are given; NaN where a fit fails,
+    but for the last two columns of a star that is fitted alone.
 
     Parameters
     ----------
@@ -194,6 +196,8 @@ def _fit_group(
         used = _leave_out(starts, members, left, top, wide, signal, dark)
     if used <= size:
         return
+    if m == 1:
+        out[members[0], 7], out[members[0], 8] = used - size, _pixel_chi2(signal, dark)
     for k in range(m):
         x[k], y[k] = starts.x[members[k]], starts.y[members[k]]
     chi2, step = 0.0, 1.0
@@ -226,6 +230,18 @@ def _fit_group(
             break
     if step <= _ACCEPTED_PX:
         _note(members, space, chi2, used - size, out)
+
+
+@kernel_part
+def _pixel_chi2(signal: FloatArray, dark: FloatArray) -> float:
+    """χ² of a window in which nothing but one pixel is bright."""
+    total, brightest = 0.0, 0.0
+    for n in range(len(signal)):
+        square = signal[n] * signal[n] / dark[n]  # 0 for a pixel left out
+        total += square
+        if signal[n] > 0.0:
+            brightest = max(brightest, square)
+    return total - brightest
 
 
 @kernel_part

@@ -19,7 +19,7 @@ from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 from startracker.sorting import median
 
-__all__ = ["fit_gaussians", "frame_psf"]
+__all__ = ["Shape", "fit_gaussians", "frame_psf"]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -63,9 +63,7 @@ class BadPixelCount:
             raise InputError(f"sigma is {sigma}; it must be positive")
         self.sigma, self.share, self.tile_px = sigma, share, tile_px
         self.frames = 0
-        self._seen = np.zeros((0, 0), np.int64)
-        self._bright = np.zeros((0, 0), np.int64)
-        self._dark = np.zeros((0, 0), np.int64)
+        self._seen, self._bright, self._dark = np.zeros((3, 0, 0), np.int32)
 
     def add(self, frame: ArrayLike, ignore: NDArray[np.bool_] | None = None) -> None:
         """Count a frame.
@@ -84,17 +82,19 @@ class BadPixelCount:
         """
         pixels = as_image(frame)
         if self.frames == 0:
-            self._seen = np.zeros(pixels.shape, np.int64)
-            self._bright = np.zeros(pixels.shape, np.int64)
-            self._dark = np.zeros(pixels.shape, np.int64)
+            self._seen, self._bright, self._dark = np.zeros((3, *pixels.shape), np.int32)
         elif pixels.shape != self._bright.shape:
             raise InputError(f"frame {self.frames} is {pixels.shape}, the first {self._bright.shape}; they must agree")
         background = estimate(pixels, self.tile_px)
-        blind = ~np.isfinite(pixels)
         judged = np.ones(pixels.shape, np.bool_) if ignore is None else ~ignore
+        limit = self.sigma * background.noise
         with np.errstate(invalid="ignore"):
-            self._bright += judged & (blind | (pixels > background.level + self.sigma * background.noise))
-            self._dark += judged & (blind | (pixels < background.level - self.sigma * background.noise))
+            above, below = pixels > background.level + limit, pixels < background.level - limit
+        if not np.isfinite(pixels.sum(dtype=np.float64)):
+            blind = ~np.isfinite(pixels)
+            above, below = above | blind, below | blind
+        for count, beyond in ((self._bright, above), (self._dark, below)):
+            count.ravel()[np.flatnonzero(beyond & judged)] += 1
         self._seen += judged
         self.frames += 1
 
@@ -106,9 +106,12 @@ class BadPixelCount:
         fewest_frames : int
             Frames that must judge a pixel.
         """
-        fewest = np.maximum(2.0, self.share * self._seen)
-        bad = (self._bright >= fewest) | (self._dark >= fewest)
-        return np.asarray(bad & (self._seen >= fewest_frames), dtype=np.bool_)
+        bad = np.zeros(self._seen.shape, np.bool_)
+        most = np.maximum(self._bright, self._dark).ravel()
+        found = np.flatnonzero(most >= 2)
+        seen = self._seen.ravel()[found]
+        bad.ravel()[found] = (most[found] >= self.share * seen) & (seen >= fewest_frames)
+        return bad
 
 
 def find_bad_pixels(

@@ -66,6 +66,7 @@ class Followed:
                 guide.v_mag[chosen],
                 seen.flux[stars],
                 self.residual_px,
+                sigma_px=seen.sigma_px[stars],
             ),
             seen.xy,
             camera.fov_deg,

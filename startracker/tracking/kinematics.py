@@ -95,7 +95,8 @@ def propagate(
     rate_psd: float,
     extra_psd: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Quaternion and covariance (n, n) after a step at a constant rate; n is 6, or 9 with a gyro's scale factors.
+    """Quaternion and covariance (n, n) after a step at a constant rate; n is 6, or 9 with a gyro's scale factors, or
+    more with further states that are constant.
 
     An error δk of the scale factors acts as a bias of ω ∘ δk: δθ' = −ω × δθ − δb − ω ∘ δk, to first order in k
     (Pittelkau 2001, J. Guidance 24, 1187). The scale factors themselves are constant.
@@ -113,7 +114,7 @@ def propagate(
     full[:3, :3] = phi
     full[:3, 3:6] = sign * psi
     if len(covariance) > 6:
-        full[:3, 6:] = sign * psi * rate
+        full[:3, 6:9] = sign * psi * rate
     out = full @ covariance @ full.T
     for i in range(3):
         out[i, i] += angle_psd * dt
@@ -129,13 +130,13 @@ def propagate(
 def correct(
     covariance: FloatArray, axes: FloatArray, innovation: FloatArray, noise: FloatArray
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Kalman update with a measurement of the attitude error along `axes`, in Joseph form.
+    """Kalman update with a measurement of the attitude error along some axes, in Joseph form.
 
     Parameters
     ----------
     covariance : (n, n)
-    axes : (m, 3)
-        The measurement is axes · δθ + noise.
+    axes : (m, 3) or (m, n)
+        The measurement is axes · δθ + noise; with n columns it also depends on the other states.
     innovation, noise : (m,), (m, m)
         Measurement, and its covariance.
 
@@ -145,7 +146,7 @@ def correct(
     whitened by the Cholesky factor of S, (3,); NaN unless there are three axes.
     """
     h = np.zeros((len(innovation), len(covariance)))
-    h[:, :3] = axes
+    h[:, : axes.shape[1]] = axes
     crossed = h @ covariance
     spread = crossed @ h.T + noise
     gain = np.linalg.solve(spread, crossed).T.copy()
@@ -154,7 +155,8 @@ def correct(
     out = left @ covariance @ left.T + gain @ noise @ gain.T
     white = np.full(3, np.nan)
     if len(innovation) == 3:
-        white = _whitened(axes.T @ spread @ axes, axes.T @ innovation)
+        turn = h[:, :3].copy()
+        white = _whitened(turn.T @ spread @ turn, turn.T @ innovation)
     return float(np.sum(innovation * weighed)), gain @ innovation, 0.5 * (out + out.T), white
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.bodies import beside_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
 from startracker.constants import SPEED_OF_LIGHT_KM_S
@@ -81,17 +82,21 @@ class Seen:
 class Sky:
     """Guide stars at the observer's epoch and position without aberration, cached until they have moved."""
 
-    def __init__(self, guide: GuideDatabase) -> None:
-        self.guide = guide
+    def __init__(self, guide: GuideDatabase, pixel_rad: float) -> None:
+        self.guide, self.pixel_rad = guide, pixel_rad
         self._view: SkyView | None = None
         self._at: tuple[float, bool] | None = None
 
     def expected(self, matrix: FloatArray, observer: Observer | None, most: int) -> Expected:
-        """The brightest guide stars on the image at an attitude (3, 3)."""
+        """The brightest guide stars on the image at an attitude (3, 3), without those beside a planet, Moon or Sun."""
         beta = np.zeros(3)
         if observer is not None and observer.velocity_km_s is not None:
             beta = np.asarray(observer.velocity_km_s, dtype=float) / SPEED_OF_LIGHT_KM_S
-        return Expected(*expected_stars(matrix, self._seen_by(observer), beta, most))
+        index, directions, predicted = expected_stars(matrix, self._seen_by(observer), beta, most)
+        beside = beside_bodies(directions, observer, self.pixel_rad)
+        if beside.any():
+            index, directions, predicted = index[~beside], directions[~beside], predicted[~beside]
+        return Expected(index, directions, predicted)
 
     def _seen_by(self, observer: Observer | None) -> SkyView:
         if observer is None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +24,7 @@ from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 
-__all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "chi_square_limit"]
+__all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "chi_square_limit", "rotation_between"]
 
 FloatArray = NDArray[np.float64]
 
@@ -165,9 +166,9 @@ class Mekf:
         if rate_rad_s is not None:
             self._rate = _three(rate_rad_s, "a rate")
 
-    def copy(self) -> Mekf:
+    def copy(self) -> Self:
         """An independent filter with the same state."""
-        twin = object.__new__(Mekf)
+        twin = object.__new__(type(self))
         twin.noise, twin.has_gyro = self.noise, self.has_gyro
         twin._quat, twin._covariance = self._quat, self._covariance  # replaced by every step, never modified
         twin._rate, twin._bias, twin._scale = self._rate, self._bias, self._scale
@@ -226,7 +227,7 @@ class Mekf:
     @property
     def scale_sigma(self) -> FloatArray:
         """Standard deviations of the scale factors, (3,)."""
-        return np.sqrt(self._covariance.diagonal()[6:]) if len(self._covariance) > 6 else np.zeros(3)
+        return np.sqrt(self._covariance.diagonal()[6:9]) if len(self._covariance) > 6 else np.zeros(3)
 
     # ------------------------------------------------------------------ the two steps
     def predict(self, dt: float, gyro_rad_s: ArrayLike | None = None) -> None:
@@ -276,10 +277,7 @@ class Mekf:
             Probability of rejecting a correct measurement, which defines the gate on χ². 0: no gate.
         """
         measured = attitude if isinstance(attitude, Attitude) else Attitude.from_matrix(attitude)
-        x, y, z, w = quat_multiply(measured.quat, self._quat * np.array([-1.0, -1.0, -1.0, 1.0]))
-        vector = np.array([x, y, z]) * (1.0 if w >= 0 else -1.0)
-        sine = math.sqrt(float(vector @ vector))
-        vector *= 2.0 * math.atan2(sine, abs(float(w))) / sine if sine > 0 else 2.0
+        vector = rotation_between(self._quat, measured.quat)
         outcome = correct(self._covariance, np.eye(3), vector, np.ascontiguousarray(covariance, dtype=float))
         return self._take(outcome, chi_square_limit(3, false_rejection), 3)
 
@@ -332,11 +330,21 @@ class Mekf:
             self._bias = self._bias + change[3:6]
             self._rate = self._rate - change[3:6]
             if len(change) > 6:
-                self._rate = self._rate - self._rate * change[6:]
-                self._scale = np.maximum(np.minimum(self._scale + change[6:], _LARGEST_SCALE), -_LARGEST_SCALE)
+                scale = change[6:9]
+                self._rate = self._rate - self._rate * scale
+                self._scale = np.maximum(np.minimum(self._scale + scale, _LARGEST_SCALE), -_LARGEST_SCALE)
         else:
-            self._rate = self._rate + change[3:]
+            self._rate = self._rate + change[3:6]
         return innovation
+
+
+def rotation_between(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Rotation vector (3,) from one attitude to another, quaternions (4,), in the axes of the first one's frame."""
+    x, y, z, w = quat_multiply(second, first * np.array([-1.0, -1.0, -1.0, 1.0]))
+    vector = np.array([x, y, z]) * (1.0 if w >= 0 else -1.0)
+    sine = math.sqrt(float(vector @ vector))
+    vector *= 2.0 * math.atan2(sine, abs(float(w))) / sine if sine > 0 else 2.0
+    return vector
 
 
 @lru_cache(maxsize=64)

@@ -26,7 +26,8 @@ from scipy.ndimage import binary_dilation, label
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
-from startracker.detection.bad_pixels import BadPixelCount, mask_pixels
+from startracker.detection.bad_pixels import mask_pixels
+from startracker.detection.defect_map import DefectMap
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings, OperationSettings
@@ -99,12 +100,18 @@ class SensorOperation:
         self.longest_s = exposure_s
         self.exposure_s = self._allowed(exposure_s)
         """Exposure of the next frame."""
-        self.blemishes: BoolImage = np.zeros((camera.height, camera.width), np.bool_)
-        """Current map of defective pixels."""
         self._suspended_s = self._resume_s = -math.inf
         self._seen: deque[bytes] = deque(maxlen=_REMEMBERED)
-        self._count = BadPixelCount(settings.blemish_sigma, settings.blemish_share, detection.background_tile_px)
-        self._counted_at: Attitude | None = None
+        self._defects = DefectMap(
+            camera,
+            frames=settings.blemish_frames,
+            share=settings.blemish_share,
+            sigma=settings.blemish_sigma,
+            shift_px=settings.blemish_shift_px,
+            tile_px=detection.background_tile_px,
+        )
+        self.blemishes: BoolImage = self._defects.mask
+        """Current map of defective pixels."""
 
     # ------------------------------------------------------------------ before the tracker
     def suspended(self, t_s: float) -> bool:
@@ -224,27 +231,9 @@ class SensorOperation:
         stars : MatchedStars
             Stars of the frame, around which bright pixels are ignored.
         """
-        if self.settings.blemish_frames == 0 or verdict.image is None or attitude is None:
-            return
-        if self._counted_at is not None and self._shift_px(self._counted_at, attitude) < self.settings.blemish_shift_px:
-            return
-        self._counted_at = attitude
-        ignore = np.zeros(self.blemishes.shape, np.bool_) if verdict.cleared is None else verdict.cleared.copy()
-        for x, y in np.rint(stars.xy).astype(int):
-            ignore[max(y - _STAR_PX, 0) : y + _STAR_PX + 1, max(x - _STAR_PX, 0) : x + _STAR_PX + 1] = True
-        self._count.add(image, ignore)
-        if self._count.frames >= self.settings.blemish_frames:
-            self.blemishes = self._count.bad(self.settings.blemish_frames)
-
-    def _shift_px(self, before: Attitude, now: Attitude) -> float:
-        """Median shift of stars over the field between two attitudes, pixels; stars that leave the field count as a
-        large shift."""
-        camera = self.camera
-        x, y = np.meshgrid(np.linspace(0, camera.width - 1, 4), np.linspace(0, camera.height - 1, 4))
-        pixels = np.stack([x.ravel(), y.ravel()], axis=1)
-        vectors = now.apply(before.inverse.apply(camera.unproject(pixels)))
-        shift = np.hypot(*(camera.project(vectors) - pixels).T)
-        return float(np.median(np.where(np.isfinite(shift), shift, np.inf)))
+        if verdict.image is not None and attitude is not None:
+            self._defects.add(image, attitude, stars.xy, verdict.cleared)
+            self.blemishes = self._defects.mask
 
 
 def image_magnitudes(flux_dn: ArrayLike, gain_e_per_dn: float, exposure_s: float, zero_point: float) -> FloatArray:

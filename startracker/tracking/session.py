@@ -87,7 +87,7 @@ class TrackingSession:
         self._used_s: float | None = None
         self._note = ""
         self._observer: Observer | None = None
-        self._sky = Sky(tracker.guide)
+        self._sky = Sky(tracker.guide, tracker.camera.pixel_rad)
         self._lock = threading.RLock()
 
     def __repr__(self) -> str:

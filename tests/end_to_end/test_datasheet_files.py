@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pages import browser, faults, faults_on_paper
 
 from simulator import Scenario
 from simulator.study.datasheet import run
@@ -45,6 +49,30 @@ def test_all_files_and_no_parts(written: Path) -> None:
     page = (written / "datasheet.html").read_text()
     for word in ("FOV spatial error", "Pixel spatial error", "Temporal noise", "ECSS-E-ST-60-20C", "EOL"):
         assert word in page
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Any]:
+    with browser() as opened:
+        yield opened
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 800, 480])
+def test_page_is_complete_and_legible(page: Any, written: Path, width: int, scheme: str) -> None:
+    assert faults(page, (written / "datasheet.html").as_uri(), width, scheme) == []
+    broken = """[...document.querySelectorAll('td:not(.words)')].filter(cell => cell.firstChild && [
+        ...cell.textContent.matchAll(/\\([^)]*\\)/g)].some(found => { const range = document.createRange();
+        range.setStart(cell.firstChild, found.index); range.setEnd(cell.firstChild, found.index + found[0].length);
+        return new Set([...range.getClientRects()].map(box => box.top)).size > 1; })).map(cell => cell.textContent)"""
+    assert page.value(broken) == [], "intervals that continue on the next line"
+    blank = "[...document.querySelectorAll('td')].filter(c => !c.textContent && c.offsetHeight > 0).length"
+    assert width > 640 or page.value(blank) == 0
+
+
+def test_page_prints_on_a_few_sheets(page: Any, written: Path) -> None:
+    assert faults_on_paper(page, (written / "datasheet.html").as_uri(), most_pages=8) == []
+    assert 0 < len(re.findall(rb"/Type /Page\b", (written / "datasheet.pdf").read_bytes())) <= 9
 
 
 def test_every_value_has_an_interval_or_says_that_it_is_open(written: Path) -> None:

@@ -1,10 +1,12 @@
-"""Every command judges one specification with the same words: run, sequence, sweep, design, coverage and the report."""
+"""Every command judges one specification with the same words: run, sequence, sweep, design, coverage, datasheet."""
 
 import json
 
 import pytest
 
 from simulator.cli import _run
+from simulator.study.datasheet import run as datasheet_run
+from simulator.study.datasheet.plan import Amounts
 
 CAMERA = """\
 base: cubesat
@@ -21,6 +23,9 @@ specification:
   about_boresight_deg: 1.0
   percentile: 50
 """
+AMOUNTS = Amounts(5, 40, 8, 5, 1, 5, 12, 4, 400)
+"""A small datasheet with the trials of the run."""
+
 # with 50 % 6 frames can show that a requirement is met: 0.5^6 = 0.016; the sequence has 7 independent ones
 
 
@@ -75,3 +80,15 @@ def test_all_commands_give_the_same_verdict(tmp_path, monkeypatch, capsys, limit
     assert _run(["study", "coverage", "judged.yaml", "--path", "--boresights", "200", "--out", "coverage"]) == 0
     assert f"Specification: {expected} (predicted)" in printed()
     assert json.loads((tmp_path / "coverage/coverage.json").read_text())["verdict"]["verdict"] == expected
+
+    monkeypatch.setattr(datasheet_run, "QUICK", AMOUNTS)
+    printed()
+    assert _run(["datasheet", "judged.yaml", "--quick", "--workers", "1", "--out", "datasheet"]) == 0
+    (column,) = json.loads((tmp_path / "datasheet/datasheet.json").read_text())["columns"]
+    # the same trials as those of the run
+    assert column["verdict"] == summary["verdict"]
+    assert {name: found["text"] for name, found in column["specification"].items()} == {
+        name: found["text"] for name, found in summary["specification"].items()
+    }
+    assert summary["verdict"]["text"] in (tmp_path / "datasheet/datasheet.html").read_text()
+    assert " ".join(summary["verdict"]["text"].split()) in printed()

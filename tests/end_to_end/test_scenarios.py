@@ -9,7 +9,8 @@ from simulator import Scenario, run
 from simulator.mission.orbit import build_orbit
 from simulator.mission.pointing import boresight_path
 
-SEQUENCES = ("orbit", "slew", "operation", "oedipus")  # cubesat.yaml in motion; test_sequence.py runs what is theirs
+SEQUENCES = ("orbit", "slew", "operation", "oedipus", "thermal")
+"""Their own sequences are run by other tests."""
 SCENARIOS = sorted((Path(__file__).resolve().parents[2] / "scenarios").glob("*.yaml"))
 
 

@@ -6,6 +6,7 @@ The WCS was up to 0.07 px off while aberration was taken off at its centre alone
 
 import math
 
+import erfa
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -59,6 +60,35 @@ def test_catalogue_stars_fall_on_their_pixels(lens, tmp_path):
     table = Table.read(path, hdu="TRUTH")[inside][far]
     assert np.abs(np.degrees(ra) - table["ra"]).max() < 0.1 / 3600 / np.cos(dec).min()
     assert np.abs(np.degrees(dec) - table["dec"]).max() < 0.1 / 3600
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_apparent_form_gives_directions_as_observed(lens, tmp_path):
+    """Pixel to direction by astropy's WCS, against the truth: both forms in pixels at the truth's own positions."""
+    frame, truth = frame_of(*LENSES[lens])
+    inside = frame.camera.contains(truth.sources.xy)
+    seen, xy = truth.sources.direction[inside], truth.sources.xy[inside]
+    scale = 1.0 / frame.camera.pixel_rad
+    found = {}
+    for form in ("astrometric", "apparent"):
+        path = tmp_path / f"{form}.fits"
+        write_fits(path, frame, truth, wcs=form)
+        with fits.open(path) as units:
+            header = units[0].header
+            assert header["WCSNAME"] == form
+            assert {"astrometric": "removed", "apparent": "with aberration"}[form] in header.comments["WCSNAME"]
+            ra, dec = np.radians(WCS(header).all_pix2world(xy, 0)).T
+        found[form] = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+        table = Table.read(path, hdu="TRUTH")[inside]
+    assert np.linalg.norm(found["apparent"] - seen, axis=1).max() * scale < 0.005
+    ra, dec = np.radians(table["ra"]), np.radians(table["dec"])
+    still = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+    assert np.linalg.norm(found["astrometric"] - still, axis=1).max() * scale < 0.005
+    # between the forms is the aberration by ERFA, up to 26″ (to 0.01 px as both, 0.5″ at most)
+    velocity = frame.observer.velocity_km_s / 299_792.458
+    moved = erfa.ab(found["astrometric"], velocity, 1e6, math.sqrt(1.0 - velocity @ velocity))
+    assert np.linalg.norm(moved - found["apparent"], axis=1).max() * scale < 0.01
+    assert np.linalg.norm(found["astrometric"] - found["apparent"], axis=1).max() > np.radians(3.0 / 3600)
 
 
 def test_cards_of_the_camera_give_the_scale_that_other_programs_compute(tmp_path):

@@ -32,7 +32,8 @@ def states_of(overrides, target=None):
         start = hold(scenario.pointing, Attitude.from_radec_roll(*target), rng)
     else:
         start = point(scenario.pointing, *orbit.state(scenario.sequence.start_s), rng)
-    states = motion(scenario.pointing, scenario.sequence, orbit, start, scenario.sequence.frames)
+    since_s = [k * scenario.sequence.step_s for k in range(scenario.sequence.frames)]
+    states = motion(scenario.pointing, scenario.sequence, orbit, start, since_s)
     return scenario, orbit, start, states
 
 

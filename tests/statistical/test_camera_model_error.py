@@ -63,7 +63,7 @@ def test_it_is_added_to_every_centroid(frame_and_tracker):
 
 def test_it_is_added_in_the_windows_of_tracking(frame_and_tracker):
     frame, truth, tracker = frame_and_tracker
-    expected = Sky(tracker.guide).expected(truth.attitude.as_matrix(), frame.observer, 30)
+    expected = Sky(tracker.guide, tracker.camera.pixel_rad).expected(truth.attitude.as_matrix(), frame.observer, 30)
     found = []
     for error_px in (0.0, 0.3):
         tracker.centroid = CentroidSettings(camera_model_px=error_px)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import welch
+from scipy.signal import periodogram, welch
 from star_sequences import SMALL_CAMERA, pooled_nees
 
 from simulator import Scenario
@@ -102,10 +102,103 @@ def test_scale_factors_of_the_gyro():
     assert plain.noise.scale_sigma == 0.0
 
 
+DRIFT_AND_WHEELS = [(0.01, 500.0), (0.1, 5.0), (1.0, 0.05), (10.0, 5e-4), (29.0, 6e-5), (30.0, 0.01), (60.0, 0.01)]
+"""A drift of density 1/f², and wheels from 30 to 60 Hz with 1 % of its variance: one is seen from frame to frame, the
+other within an exposure."""
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    """A realisation of `DRIFT_AND_WHEELS` for a sequence, with its spectrum; rms 100″ about each axis."""
+    path = tmp_path_factory.mktemp("jitter") / "wide.csv"
+    points = np.log(DRIFT_AND_WHEELS)
+    f = np.unique(np.concatenate([np.geomspace(0.01, 60.0, 4000), [30.0]]))
+    power = np.exp(np.interp(np.log(f), *points.T))
+    path.write_text("\n".join(f"{x:.9g},{y:.9g}" for x, y in zip(f, power, strict=True)), encoding="utf-8")
+    section = Jitter(rms_arcsec=(100.0, 100.0, 100.0), psd="table", table=str(path))
+    spectrum = load_spectrum(section)
+    return draw_jitter(section, spectrum, stream(3, "jitter", 0), over_sequence=True), spectrum
+
+
+def ratio_tolerance(segments, lines):
+    """4.5 σ of the mean of periodograms of half-overlapping Hann segments, of which 1/1.06 are independent (Welch
+    1967), of a sum of lines of fixed amplitudes: relative variance 1/K; and one line more or less of those in a
+    bin."""
+    return 4.5 * math.sqrt(1.06 / segments) + 1.0 / lines
+
+
+def test_one_realisation_has_the_rms_asked_for(wide):
+    """Each of 1,024 parts may be off by itself, at random: 1/1024^1.5; with the curvature of the density within them
+    0.1 %, of which 4."""
+    path, _ = wide
+    variance = (path.cosine_rad**2 + path.sine_rad**2) / 2.0 / (100.0 * ARCSEC) ** 2
+    np.testing.assert_allclose(variance.sum(axis=0), 1.0, rtol=0, atol=4e-3)
+    # the wheels' share by the table, which they keep in every realisation
+    wheels = np.sum(variance * (path.frequency_hz > 29.5), axis=0)
+    fine = np.linspace(29.5, 60.0, 20_001)
+    np.testing.assert_allclose(wheels, np.trapezoid(wide[1].per_hz(fine), fine), rtol=0.05)
+
+
+def test_power_spectrum_over_frames(wide):
+    """Welch's spectrum of one sequence's mean angles against the density times sinc²(f T), folded at the Nyquist
+    frequency; of a density as 1/f² the window's width adds 1/k² at bin k."""
+    path, spectrum = wide
+    step_s, exposure_s, size = 0.5, 0.2, 256
+    angles = np.array([path.shifted(k * step_s).mean(exposure_s) for k in range(16_384)]) / ARCSEC
+    # a second run has the same bytes, of whatever part
+    np.testing.assert_array_equal(path.shifted(7 * step_s).mean(exposure_s), angles[7] * ARCSEC)
+    f, power = welch(angles, 1.0 / step_s, nperseg=size, axis=0, detrend=False)
+    images = np.abs(f + np.arange(-40, 41)[:, None] / step_s)  # both signs of the frequency
+    folded = np.sum(spectrum.per_hz(images) * np.sinc(images * exposure_s) ** 2, axis=0) * 100.0**2
+    k = np.arange(len(f))
+    inside = (k >= 8) & (f < 0.95)
+    expected = (folded * (1.0 + 1.0 / np.maximum(k, 1) ** 2))[inside]
+    lines = 512.0 * f[1] / (f[inside] * 5.0 * math.log(10.0)) * 2.0  # of the logarithmic half alone, in two bins
+    allowed = ratio_tolerance(3 * (16_384 // (size // 2) - 1), np.maximum(lines, 1.0))
+    ratio = power.mean(axis=1)[inside] / expected
+    assert (np.abs(ratio - 1.0) < allowed).all()
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.03)
+    # consecutive frames belong together: their difference is that of the density, 2 ∫ s (1 − cos 2π f dt) df
+    fine = np.geomspace(0.01, 60.0, 400_001)
+    seen = spectrum.per_hz(fine) * np.sinc(fine * exposure_s) ** 2 * (1.0 - np.cos(2.0 * np.pi * fine * step_s))
+    step = math.sqrt(2.0 * np.trapezoid(seen, fine)) * 100.0
+    assert step < 30.0  # and not √2 · 100″, of angles drawn anew
+    np.testing.assert_allclose(np.diff(angles, axis=0).std(axis=0), step, rtol=0.1)
+
+
+def test_power_spectrum_within_exposures(wide):
+    """Periodograms of the angles within 300 exposures of 0.5 s of one sequence, in the band of the wheels, whose lines
+    are 4 a bin and more; linear motion is removed, whose leakage falls as 1/k⁶."""
+    path, spectrum = wide
+    step_s, n = 0.5 / 100, 100
+    within = (np.arange(n) - (n - 1) / 2.0) * step_s
+    spectra = []
+    for k in range(300):
+        angles = path.shifted(0.7 * k).at(within) / ARCSEC
+        f, power = periodogram(angles, 1.0 / step_s, window="hann", detrend="linear", axis=0)
+        spectra.append(power.mean(axis=1))
+    inside = (f > 33.0) & (f < 57.0)
+    ratio = np.mean(spectra, axis=0)[inside] / (spectrum.per_hz(f[inside]) * 100.0**2)
+    lines = 1024.0 * f[1] / (60.0 * 5.0 * math.log(10.0)) * 2.0
+    assert (np.abs(ratio - 1.0) < ratio_tolerance(3 * 300, lines)).all()
+    assert np.mean(ratio) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_realisation_does_not_depend_on_the_number_of_frames():
+    """An interrupted sequence has the frames of a longer one, of the same bytes."""
+    overrides = "pointing.jitter.rms_arcsec=[60, 20, 40]", "sequence.step_s=0.25"
+    short, long = (runner_of(*overrides, f"sequence.frames={n}") for n in (5, 40))
+    for k in range(5):
+        np.testing.assert_array_equal(short.cameras[k].quat, long.cameras[k].quat)
+        np.testing.assert_array_equal(short.rates[k], long.rates[k])
+    first, again = (next(iter(runner.frames())) for runner in (short, long))
+    np.testing.assert_array_equal(first.frame.image, again.frame.image)
+
+
 def test_power_spectrum_of_a_sequence():
     """Welch's spectrum of the frames' angles against the density times sinc²(f T), folded at the Nyquist frequency.
 
-    100 realisations of 3 axes and 4 half-overlapping segments, some 3 of them independent, on 256 random lines: the
+    100 realisations of 3 axes and 4 half-overlapping segments, some 3 of them independent, on random lines: the
     relative error of a bin is 1/√900 = 3.3 %, and as much again from the lines; 4.5 of both together is 21 %. Over all
     bins inside, some 90, the mean is good to 0.5 %, and the window's smoothing of the curved density to as much.
     """
@@ -113,7 +206,7 @@ def test_power_spectrum_of_a_sequence():
     spectrum, step_s, exposure_s, n = load_spectrum(section), 0.05, 0.04, 320
     powers = []
     for seed in range(100):
-        path = draw_jitter(section, spectrum, stream(seed, "jitter", 0))
+        path = draw_jitter(section, spectrum, stream(seed, "jitter", 0), over_sequence=True)
         angles = sequence_of_means(path, step_s * np.arange(n), exposure_s)
         np.testing.assert_allclose(path.shifted(7 * step_s).mean(exposure_s), angles[7], atol=1e-9 * ARCSEC)
         f, power = welch(angles / ARCSEC, 1.0 / step_s, nperseg=128, axis=0, detrend=False)

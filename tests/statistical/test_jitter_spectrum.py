@@ -6,6 +6,7 @@ from scipy.signal import periodogram
 from scipy.spatial.transform import Rotation
 
 from simulator.optics.jitter import COMPONENTS, Jitter, Spectrum, draw_jitter, load_spectrum
+from simulator.optics.jitter_series import JitterSeries, SampledJitter
 from simulator.optics.psf import build_psf
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.smear import exposure_nodes, star_paths
@@ -166,6 +167,31 @@ def test_smear_with_jitter_within_1e4_of_a_1000_step_sum(name, rms_px, rate_deg_
     turned = (Rotation.from_rotvec(-path.at(t)) * Rotation.from_rotvec(-np.multiply.outer(t, rate))).apply(star[0])
     brute_xy = camera.project(turned)[None]
     brute = render_stars((512, 512), brute_xy, np.full(steps, 1 / steps), [1e5], psf)
+    ours = render_stars((512, 512), xy, weights, [1e5], psf)
+    assert np.abs(ours - brute).max() < 1e-4 * brute.max()
+
+
+@pytest.mark.parametrize("kind", ["series", "sequence"])
+def test_smear_with_other_jitter_within_1e4_of_a_1000_step_sum(kind):
+    """A time series of a wheel, and a frame far from the start of a sequence's realisation."""
+    camera = Camera.from_fov(10.0, 512, 512)
+    psf = build_psf(PsfModel(model="gaussian", sigma_px=1.0), 2.0, (10.0, 10.0))
+    rms = 1.5 * camera.pixel_rad / ARCSEC
+    section = Jitter(rms_arcsec=(rms, rms, 2 * rms), corner_hz=5.0)
+    if kind == "series":
+        t_s = np.arange(0.0, 3.0, 1.0 / 400.0)
+        phases = 2.0 * np.pi * 40.0 * t_s[:, None] + np.arange(3)
+        angles = np.sqrt(2.0) * ARCSEC * np.array(section.rms_arcsec) * np.sin(phases)
+        path = SampledJitter(JitterSeries(t_s, angles, "wheel"), 1.5, np.eye(3)).centred(0.2)
+    else:
+        rng = stream(3, "jitter", 0)
+        path = draw_jitter(section, load_spectrum(section), rng, over_sequence=True).shifted(4321.0).centred(0.2)
+    star = camera.unproject([[100.3, 150.8]])
+    xy, weights = star_paths(camera, star, [0.0, 0.001, 0.0], 0.2, psf.feature_px, jitter=path)
+    t = ((np.arange(1000) + 0.5) / 1000 - 0.5) * 0.2
+    rates = np.multiply.outer(t, [0.0, 0.001, 0.0])
+    turned = (Rotation.from_rotvec(-path.at(t)) * Rotation.from_rotvec(-rates)).apply(star[0])
+    brute = render_stars((512, 512), camera.project(turned)[None], np.full(1000, 1e-3), [1e5], psf)
     ours = render_stars((512, 512), xy, weights, [1e5], psf)
     assert np.abs(ours - brute).max() < 1e-4 * brute.max()
 

@@ -1,5 +1,7 @@
 """Fits and weighted moment: noise-free stars, borders, bad pixels, neighbours, saturation, smear, input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -104,6 +106,26 @@ def test_the_plain_moment_measures_a_star_with_a_bad_pixel_by_its_weighted_momen
     found = METHODS["moment"](image, flat(image), spots_of(stars), CentroidSettings(), 1.0)
     assert len(found) == len(stars)
     assert np.abs(errors(found, stars)[0]).max() < 2e-3
+
+
+@pytest.mark.parametrize("method", FITS)
+@pytest.mark.parametrize("sigma", [0.6, 0.9])
+def test_single_pixels_are_no_stars(method, sigma):
+    """Faint stars and single pixels in a frame with many hot pixels. For a signal-to-noise ratio r the two hypotheses
+    differ by χ² = r² (1 − p²/Σ p²), p the greatest share of a pixel: by 33 ± 11 for σ = 0.6 px and r = 10, 65 ± 16 for
+    r = 14."""
+    rng, noise = np.random.default_rng(5), 2.0
+    bright, faint = lattice()[:18], lattice()[18:]
+    faint = [(x, y, 14.0 * noise * np.sqrt(4.0 * np.pi) * sigma) for x, y, _ in faint]  # Σ p² = 1 / (4 π σ²)
+    hot = [(round(x) + 12, round(y), 0.0) for x, y, _ in faint[:-6]]
+    image = draw((144, 144), [*bright, *faint], sigma)
+    for x, y, _ in hot:
+        image[y, x] += 14.0 * noise
+    image += rng.normal(0.0, noise, image.shape).astype(np.float32)
+    spots = replace(spots_of([*bright, *faint, *hot]), rejected={"hot pixel": 1000})
+    found = METHODS[method](image, flat(image, noise), spots, CentroidSettings(psf_sigma_px=sigma), 1.0)
+    seen = [np.hypot(*(found.xy - at[:2]).T).min() < 1.5 for at in (*bright, *faint, *hot)]
+    assert seen == [True] * 36 + [False] * len(hot)
 
 
 @pytest.mark.parametrize("method", NEW)

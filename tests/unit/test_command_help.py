@@ -68,7 +68,7 @@ def test_every_command_has_an_example_of_itself(command, words):
         (("run", "cubsat"), "cubsat: no such file; did you mean 'cubesat'?"),
         (("show", "scenarios/cubesatt.yaml"), "did you mean"),
         (("show", "gallery/mon"), "did you mean"),
-        (("validate", "nothing_like_it"), "included are cbers2, cruise, cubesat, "),
+        (("validate", "nothing_like_it"), "included are cbers2, constellation, cruise, "),
         (("show", "cubesat", "--set", "optics.apertur_mm=3"), "did you mean 'optics.aperture_mm'?"),
         (("show", "cubesat", "--set", "pointing.target=Sirus"), "did you mean 'Sirius'?"),
         (("show", "cubesat", "--set", "tracker.identifier=piramid"), "did you mean 'pyramid'?"),

@@ -103,6 +103,21 @@ def test_a_swinging_rate_has_its_acceleration_and_amplitude() -> None:
     assert np.median(slope) == pytest.approx(0.4, rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("passes", "same"),
+    [
+        ([{1: 0.2, 2: 90.0}, {1: 0.9, 2: 90.0}], True),
+        ([{1: 0.2, 2: 90.0}, {2: 90.0}], False),
+        ([{2: 90.0}, {1: -0.7, 2: 90.0}], False),
+        # a faint star in the middle that noise hides in one of the passes
+        ([{1: 0.2, 2: 90.0}, {1: 0.2}], True),
+        ([{}, {}], True),
+    ],
+)
+def test_stars_that_enter_or_leave_between_passes(passes: list[dict[int, float]], same: bool) -> None:
+    assert frames._same_at_border(passes) is same
+
+
 def test_the_rotation_of_displaced_stars() -> None:
     """Against the exact rotation of directions by an attitude; second order in the angle."""
     vectors = np.random.default_rng(1).normal(size=(12, 3)) * 0.1 + np.array([0.0, 0.0, 1.0])
@@ -146,9 +161,10 @@ def test_values_in_json_have_intervals() -> None:
         (Estimate(0.1234, 0.1, 0.2), "arcsec", False, "0.123″ (0.100–0.200)"),
         (Estimate(1234.0, None, None), "s", False, "1234 s"),
         (Estimate(1.0, 0.97, 1.0), "", True, "100 % (97–100)"),
-        (Estimate(5.0, 4.0, None), "deg/s", False, "5.00°/s (≥ 4.00)"),
+        (Estimate(5.0, 4.0, None), "deg/s", False, "5.00°/s (≥\xa04.00)"),
         (Estimate(0.0, 0.0, 0.0), "arcsec", False, "0″ (exact)"),
-        (Estimate(0.00415, -0.00767, 0.0112), "arcsec", False, "0.0042″ (−0.0077 to 0.0112)"),
+        (Estimate(0.00415, -0.00767, 0.0112), "arcsec", False, "0.0042″ (−0.0077\xa0to\xa00.0112)"),
+        (Estimate(4.5e-5, 2.4e-6, 7.4e-5), "arcsec", False, "0.0450 mas (0.0024–0.0740)"),
         (Estimate(None), "s", False, "not determined"),
     ],
 )

@@ -34,7 +34,7 @@ def test_stars_are_not_masked_as_hot_pixels(sigma):
     assert masked is image
 
 
-@pytest.mark.parametrize("share", [0.003, 0.01, 0.05])
+@pytest.mark.parametrize("share", [0.003, 0.01, 0.05, 0.1])
 @pytest.mark.parametrize("dtype", [np.float32, np.uint16])
 def test_hot_pixels_are_masked_and_stars_beside_them_kept(share, dtype):
     rng = np.random.default_rng(2)
@@ -44,7 +44,7 @@ def test_hot_pixels_are_masked_and_stars_beside_them_kept(share, dtype):
     masked, count = mask_impulses(image, estimate(image))
     found = ~np.isfinite(masked)
     sky = clean < 60.0 + 40.0  # a hot pixel in a star's image is no impulse
-    # missed where three of eight neighbours are hot too: 0.6 % at 5 %
+    # missed where three of eight neighbours are hot too: 0.6 % at 5 %, 3.8 % at 10 %
     assert found[hot & sky].mean() > 0.95
     assert not found[~hot].any()
     assert count == found.sum()

@@ -277,7 +277,7 @@ def test_several_objects_need_a_choice(tmp_path):
         (["orbit.propagator=kepler"], r"kepler is not for a circular orbit; use auto or j2 or sgp4 or numerical"),
         (["orbit.centre=Sun"], r"orbit.centre: circular orbits are around the Earth"),
         (["orbit.elements.eccentricity=1.0"], r"orbit.elements.eccentricity: must be a number from 0 to below 1"),
-        (["study.sampling=span"], r"study.sampling: span is for orbits from a file"),
+        (["study.sampling=span"], r"study.sampling: span is for orbits and attitudes that"),
     ],
 )  # fmt: skip
 def test_contradictions_of_the_section(overrides, message):

@@ -203,7 +203,10 @@ def test_a_card_without_a_single_finite_pixel():
     assert "data:image/jpeg" in image._repr_html_()
 
 
-STAGES = ("calibration", "catalog", "centroid", "detection", "estimation", "identification", "tracking", "trails")
+STAGES = (
+    *("calibration", "catalog", "centroid", "detection", "estimation"),
+    *("fusion", "identification", "tracking", "trails"),
+)
 PACKAGES = ["simulator", "startracker", "simulator.scenario", *(f"startracker.{stage}" for stage in STAGES)]
 
 

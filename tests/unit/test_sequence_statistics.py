@@ -46,7 +46,7 @@ def test_gyro_noise():
     """White noise N/√dt and a bias of standard deviation B and correlation time T: k σ/√n with k = 5."""
     section = Gyro(angle_random_walk_deg_sqrt_h=0.3, bias_deg_h=0.0, bias_instability_deg_h=20.0, bias_time_s=5.0)
     n, dt = 20_000, 0.5
-    rates, biases = gyro_samples(section, np.tile([0.01, 0.0, -0.02], (n, 1)), dt, np.random.default_rng(4))
+    rates, biases, _ = gyro_samples(section, np.tile([0.01, 0.0, -0.02], (n, 1)), dt, np.random.default_rng(4))
     white = rates - np.array([0.02, 0.0, -0.04]) - 0.5 * (biases[1:] + biases[:-1])
     sigma = 0.3 * DEG_SQRT_H / math.sqrt(dt)
     assert np.allclose(white.std(axis=0), sigma, rtol=5 / math.sqrt(2 * n), atol=0)

@@ -37,7 +37,7 @@ def tracker():
 )
 def test_expected_stars_are_the_guides_on_the_image(tracker, observer):
     attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
-    found = Sky(tracker.guide).expected(attitude, observer, 1000)
+    found = Sky(tracker.guide, tracker.camera.pixel_rad).expected(attitude, observer, 1000)
     guide = tracker.guide.seen_by(observer)
     index, vectors, _ = guide.in_field(attitude)
     # the field's outline is drawn two pixels outside of the image
@@ -77,7 +77,7 @@ def test_match_follows_the_common_rotation_not_the_nearest_star(tracker):
     """A prediction off by 25 px, of 10 px uncertainty: for each star there is a false one nearer than the true one."""
     rng = np.random.default_rng(2)
     attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
-    expected = Sky(tracker.guide).expected(attitude, None, 40)
+    expected = Sky(tracker.guide, tracker.camera.pixel_rad).expected(attitude, None, 40)
     turn = Attitude.from_rotation_vector([20 / CAMERA.fx, -15 / CAMERA.fx, 0.01], "camera", "camera").as_matrix()
     true = expected.predicted @ turn.T
     false = expected.predicted + rng.normal(size=true.shape) * 5.0 / CAMERA.fx
@@ -135,7 +135,7 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     """Gaussian stars on a noisy frame: the windows' centroids are the whole frame's, within a tenth of their error."""
     rng = np.random.default_rng(5)
     attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
-    expected = Sky(tracker.guide).expected(attitude, None, 40)
+    expected = Sky(tracker.guide, tracker.camera.pixel_rad).expected(attitude, None, 40)
     centre = CAMERA.project(expected.predicted)
     rows, columns = np.mgrid[0:256, 0:256]
     image = rng.normal(100.0, 3.0, size=(256, 256))

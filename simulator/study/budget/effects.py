@@ -62,7 +62,9 @@ def _as_new(scenario: Scenario) -> Changes:
 
 def _no_rate(scenario: Scenario) -> Changes:
     """Body rate that cancels the rotation of the local level, 2π per period about −Y (`simulator.mission.pointing`), or
-    a spin about +Z."""
+    a spin about +Z. An attitude law has no rate that could be cancelled: no change."""
+    if scenario.pointing.law not in ("level", "target", "spin"):
+        return {}
     spin_deg_s = scenario.pointing.spin.rate_deg_s
     if spin_deg_s:
         return {"pointing.rate_deg_s": (0.0, 0.0, -spin_deg_s)}
@@ -137,7 +139,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("light deflection", "bias", {"sky.light_deflection": False}),
     Effect("smear by rates", "rate", _no_rate),
     Effect("time tag", "rate", {"detector.time_tag.offset_s": 0.0, "detector.time_tag.jitter_s": 0.0}),
-    Effect("jitter", "rate", {"pointing.jitter.rms_arcsec": (0.0, 0.0, 0.0)}),
+    Effect("jitter", "rate", {"pointing.jitter.rms_arcsec": (0.0, 0.0, 0.0), "pointing.jitter.series": None}),
 )
 """Effects that can be switched off; the tracker is not changed. Aberration, proper motion, parallax and lens distortion
 are not included, because the tracker corrects them exactly."""

@@ -182,10 +182,10 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
         raise InputError("study.sampling: sky has no boresight path; omit --path, or use mission_year, orbit or span")
     orbit = build_orbit(scenario)
     period_s = round_s(scenario.pointing, orbit.period_s)
-    t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s, orbit.span_s)
+    t_s = trial_time_s(sampling, scenario.seed, np.arange(count), period_s, build_scenes(scenario).span_s)
     centred = orbit.state(t_s)
     r_km = from_earth(orbit, t_s, *centred).r_km
-    if scenario.pointing.target is None and not scenario.pointing.spin.rate_deg_s:
+    if scenario.pointing.law == "level":
         body = Attitude.from_rotation_vector(np.radians(scenario.pointing.offset_deg), "local_level", "body")
         turn = (build_mounting(scenario) @ body).as_matrix()
         matrices = turn @ level_matrices(*centred)
@@ -205,7 +205,7 @@ def along_path(scenario: Scenario, count: int, exclusion: Exclusion | None = Non
 
 
 def _of_scenes(scenario: Scenario, t_s: FloatArray) -> FloatArray:
-    """Matrices (N, 3, 3) of a camera that points at a star, a body or a direction, or spins."""
+    """Matrices (N, 3, 3) of a camera that does not hold the local level."""
     steady = scenario.model_copy(update={"pointing": replace(scenario.pointing, error_deg=0.0, jitter=NO_JITTER)})
     scenes = build_scenes(steady)
     scenes.plan(t_s)

@@ -17,6 +17,8 @@ from simulator.build import aged_detector, build_focal_plane, build_mounting, bu
 from simulator.detector.parameters import DetectorParameters
 from simulator.detector.readout import gain_e_per_dn, highest_dn
 from simulator.focal_plane import FocalPlane
+from simulator.mission.attitude_law import law_rate_rad_s
+from simulator.mission.attitudes import build_attitude_law
 from simulator.mission.spin import spin_rate_rad_s
 from simulator.optics.illumination import star_illumination
 from simulator.optics.smear import star_paths
@@ -109,14 +111,18 @@ class Sensitivity:
 
 
 def nominal_rate_rad_s(scenario: Scenario) -> FloatArray:
-    """Inertial angular velocity (3,) of the camera in camera axes, without pointing error."""
-    pointing = scenario.pointing
+    """Inertial angular velocity (3,) of the camera in camera axes, without pointing error; of an attitude law that at
+    the epoch, or at the nearest end of its span."""
+    pointing, orbit = scenario.pointing, build_orbit(scenario)
     rate = np.radians(pointing.rate_deg_s)
     offset = Attitude.from_rotation_vector(np.radians(pointing.offset_deg), "local_level", "body")
     if pointing.spin.rate_deg_s:
         rate = rate + offset.apply(spin_rate_rad_s(pointing.spin, 0.0))
+    elif (law := build_attitude_law(pointing, orbit, scenario.base_dir)) is not None:
+        first, last = law.span_s
+        rate = rate + offset.apply(law_rate_rad_s(law, min(max(0.0, first), last)))
     elif pointing.target is None:
-        orbital = 2.0 * math.pi / build_orbit(scenario).period_s
+        orbital = 2.0 * math.pi / orbit.period_s
         rate = rate + offset.apply(np.array([0.0, -orbital, 0.0]))
     return np.asarray(build_mounting(scenario).apply(rate))
 

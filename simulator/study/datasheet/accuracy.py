@@ -12,13 +12,13 @@ from scipy.special import ndtri
 
 from simulator.randomness import stream
 from simulator.scenario import Scenario
-from simulator.study.datasheet.classes import CLASSES, FEWEST_FIELDS, Separated, separate
+from simulator.study.datasheet.classes import CLASSES, Separated, separate
 from simulator.study.datasheet.estimates import Estimate, rms_of, upper_limit
 from simulator.study.datasheet.scan import ScanGeometry, scan_geometry
 from simulator.study.datasheet.sheet import LEVELS, Quantity
 from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
-from simulator.study.intervals import moment_intervals, ratios_of_rms
+from simulator.study.intervals import ratios_of_rms
 from simulator.study.statistics import CAMERA_AXES
 from startracker.constants import ARCSEC_PER_DEG
 
@@ -51,7 +51,8 @@ def measure_accuracy(scenario: Scenario, runner: TaskRunner, fields: int, trials
     geometry = scan_geometry(detector.width, detector.height)
     scans = runner.run([Task(scenario, "scan", (field, geometry)) for field in range(fields)])
     passes = np.stack([scan["error_deg"] for scan in scans], axis=1) * ARCSEC_PER_DEG
-    found = separate(passes, geometry, scenario.seed)
+    same_field = np.stack([scan["same_field"] for scan in scans])
+    found = separate(passes, geometry, scenario.seed, same_field)
     columns = runner.trials(scenario, trials)
     bound = np.stack([scan["noise_bound_deg"] for scan in scans]) * ARCSEC_PER_DEG
     quantities = [
@@ -154,18 +155,17 @@ def errors_arcsec(columns: Columns, axis: str) -> FloatArray:
 
 
 def _sum_of_classes(found: Separated, columns: Columns, seed: int) -> list[Quantity]:
-    """Root of the sum of the squares of all classes, with its interval over the fields, and over the measured rms.
+    """Root of the sum of the squares of all classes, and over the measured rms.
 
-    The interval of the ratio combines the relative half widths of both in quadrature, as they are independent.
+    The sum is the rms of all frames of the scans, whose interval over the fields it has. The interval of the ratio
+    combines the relative half widths of both in quadrature, as they are independent.
     """
-    powers = np.sum([found.field_powers[name] for name in CLASSES if name != "bias"], axis=0)
-    ends = moment_intervals(powers, seed)["mean"] if found.fields >= FEWEST_FIELDS else None
     rule = "root of the sum of the squares of bias, FOV spatial, pixel spatial and temporal errors (rms)"
+    powers = np.sum([found.field_powers[name].mean(axis=0) for name in CLASSES if name != "bias"], axis=0)
     quantities = []
     for k, axis in enumerate(CAMERA_AXES):
-        of_bias = (found.figures["bias"][k].value or 0.0) ** 2
-        parts = [float(np.mean(powers[:, k])), *([] if ends is None else ends[k].tolist())]
-        added = Estimate(*(math.sqrt(max(part + of_bias, 0.0)) for part in parts))
+        bias, total = found.figures["bias"][k].value or 0.0, found.figures["total"][k]
+        added = Estimate(math.sqrt(max(powers[k] + bias**2, 0.0)), total.low, total.high)
         whole = rms_of(errors_arcsec(columns, axis), seed)
         quantities += [
             Quantity("sum_of_classes", "Sum of the classes", added, "arcsec", axis, method=rule),

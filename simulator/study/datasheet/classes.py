@@ -1,24 +1,27 @@
-"""Separation of attitude errors into the classes of ECSS-E-ST-60-20C, by repetition and by their spatial spectra.
+"""Separation of attitude errors into the classes of ECSS-E-ST-60-20C, by repetition.
 
-Every field is scanned three times (`scan`) at the same attitudes, each time with independent noise: twice with the
-device, and once with other pixels behind the same lens. With the errors e₁, e₂ and e₃ at the same position,
+Every field is scanned in four passes (`scan`), each with independent noise: twice with the device at the same
+attitudes, and twice with other pixels behind the same lens, with the stars at other positions within the pixels. With
+the errors e₁ and e₂ of the first two and the mean e₃ of the others at the same position in the field,
 
 - temporal noise is what differs between the first two: its variance is ⟨(e₁ − e₂)²⟩ / 2;
-- spatial errors are what both repeat: ⟨e₁ e₂⟩, the integral of their cross-spectral density, has no contribution of the
-  noise;
-- of these the covariance with e₃ retains what does not depend on single pixels. At the harmonics of the pixel period
-  this is the interpolation error; the rest is the FOV spatial error, which changes over many pixels, from field to
-  field, and where stars enter or leave the field. All other repeated errors are the pixel spatial error. A spectrum
-  alone cannot separate these, as the error by uneven pixels across the direction of motion extends to zero frequency;
+- spatial errors are what both repeat: ⟨e₁ e₂⟩ has no contribution of the noise;
+- of these the covariance with e₃ does not retain what depends on single pixels or on the position within a pixel: the
+  pixel spatial error, ⟨e₁ e₂⟩ − ⟨(e₁ + e₂) e₃⟩ / 2, over the frames in which all passes have the same stars at the
+  border of the field. All other repeated errors are the FOV spatial error, which changes over many pixels, from field
+  to field, and where stars enter or leave the field;
 - the mean over all fields is the bias.
 
-The mean square error of all frames is the sum of the squares of these four.
+The mean square error of all frames is the sum of the squares of these four. The spectra of the same products show at
+which periods the errors are. Spectra alone cannot separate the classes: the error by uneven pixels across the
+direction of motion extends to zero frequency, and a star that enters or leaves the field modulates the harmonics of
+the pixel period.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +29,7 @@ from scipy.signal import csd
 from scipy.signal.windows import dpss
 
 from simulator.study.datasheet.estimates import Estimate
-from simulator.study.datasheet.scan import STEP_PX, ScanGeometry
+from simulator.study.datasheet.scan import ScanGeometry
 from simulator.study.intervals import moment_intervals
 
 __all__ = ["BANDWIDTH", "CLASSES", "Separated", "Spectra", "separate"]
@@ -42,7 +45,7 @@ The first two discrete prolate spheroidal sequences have less than 0.1 % of thei
 IEEE 70, 1055; Slepian 1978, Bell Syst. Tech. J. 57, 1371)."""
 
 LEAST_COMPLETE = 0.9
-"""Minimum fraction of the frames of a field with an error in both passes; fewer, and the field is left out."""
+"""Minimum fraction of the frames of a field with an error in all passes; fewer, and the field is left out."""
 
 FEWEST_FIELDS = 5
 """Minimum number of fields for an interval."""
@@ -58,7 +61,7 @@ class Spectra(NamedTuple):
     repeated: FloatArray
     """Cross-spectral density of the first two passes. Noise makes single values negative, here and in `common`."""
     common: FloatArray
-    """Cross-spectral density of the first two passes with the third."""
+    """Cross-spectral density of the first two passes with those of other pixels."""
     noise: FloatArray
     """Of the difference of the first two passes, divided by two."""
 
@@ -81,17 +84,22 @@ class Separated(NamedTuple):
     """Fields without errors in too many frames."""
 
 
-def separate(passes: FloatArray, geometry: ScanGeometry, seed: int = 0) -> Separated:
-    """Separate the errors of three passes over several fields.
+def separate(
+    passes: FloatArray, geometry: ScanGeometry, seed: int = 0, same_field: NDArray[np.bool_] | None = None
+) -> Separated:
+    """Separate the errors of the passes over several fields.
 
     Parameters
     ----------
-    passes : (3, fields, frames, axes) array
-        Errors of the passes, any unit; NaN for frames without an attitude, which are interpolated.
+    passes : (passes, fields, frames, axes) array
+        Errors of the passes of `scan_attitudes`, any unit; NaN for frames without an attitude, which are interpolated.
     geometry : ScanGeometry
         The scans.
     seed : int
         Seed of the bootstrap over the fields.
+    same_field : (fields, frames) array of bool, optional
+        Frames in which all passes have the same stars at the border of the field. In the others what the first two
+        repeat is FOV spatial error. None: all.
 
     Raises
     ------
@@ -102,16 +110,18 @@ def separate(passes: FloatArray, geometry: ScanGeometry, seed: int = 0) -> Separ
     use = known.mean(axis=1) >= LEAST_COMPLETE
     if use.sum() < 2:
         raise ValueError("fewer than two fields have attitudes in at least nine tenths of their frames")
-    one, two, other = (_filled(errors[use], known[use]) for errors in passes)
+    one, two, *others = (_filled(errors[use], known[use]) for errors in passes)
+    other = np.mean(others, axis=0)
     bias = 0.5 * (one + two).mean(axis=(0, 1))
     density = _densities(one - bias, two - bias, other - bias, geometry.step_px)
-    both = 0.5 * (one + two) - bias
-    fov = np.mean(both * (other - bias), axis=1) - _periodic_power(both, other - bias, geometry)
+    repeated, common = (one - bias) * (two - bias), (0.5 * (one + two) - bias) * (other - bias)
+    same = np.ones(one.shape[:2], dtype=bool) if same_field is None else same_field[use]
+    pixel = np.einsum("fn,fna->fa", same, repeated - common) / np.maximum(same.sum(axis=1), 1)[:, None]
     powers = {
         "bias": 0.5 * (one + two).mean(axis=1),
         # the bias is estimated from the same fields, which lowers the differences between them
-        "fov_spatial": fov * use.sum() / (use.sum() - 1.0),
-        "pixel_spatial": np.mean((one - bias) * (two - bias), axis=1) - fov,
+        "fov_spatial": (repeated.mean(axis=1) - pixel) * use.sum() / (use.sum() - 1.0),
+        "pixel_spatial": pixel,
         "temporal_noise": 0.5 * np.mean((one - two) ** 2, axis=1),
         "total": 0.5 * np.mean(one**2 + two**2, axis=1),
     }
@@ -129,45 +139,6 @@ def _filled(errors: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
             for column in series.T:
                 column[~here] = np.interp(at[~here], at[here], column[here])
     return filled
-
-
-def _periodic_power(both: FloatArray, other: FloatArray, geometry: ScanGeometry) -> FloatArray:
-    """Power (fields, axes) at the harmonics of the pixel period that two series (fields, frames, axes) have in common.
-
-    Harmonic analysis: least-squares fit of slow functions (periods longer than the cut-off) and of the harmonics
-    together. The mean power of the remainder per dimension is the continuum under the harmonics, and is subtracted.
-    """
-    frames = both.shape[1]
-    at = np.arange(frames)
-    slow = [np.ones(frames), at - at.mean()]
-    for cycles in range(1, int(geometry.length_px / geometry.cut_period_px) + 1):
-        slow += _waves(cycles * at / frames)
-    pixel = [wave for cycles in _harmonics(frames) for wave in _waves(cycles * at)]
-    design = np.stack([*slow, *pixel], axis=1)
-    solve = np.linalg.pinv(design)
-    fit, of_pixel = design @ solve, design[:, len(slow) :] @ solve[len(slow) :]
-    waves = np.einsum("nm,fma->fna", of_pixel, both) * np.einsum("nm,fma->fna", of_pixel, other)
-    rest = np.sum(both * other, axis=1) - np.sum(both * np.einsum("nm,fma->fna", fit, other), axis=1)
-    continuum = rest / (frames - np.trace(fit))
-    return np.asarray((waves.sum(axis=1) - np.sum(of_pixel**2) * continuum) / frames)
-
-
-def _harmonics(frames: int) -> list[float]:
-    """Frequencies of the harmonics of the pixel period, cycles per frame, as far as so many frames distinguish them.
-
-    Off the middle of a field of 13 degrees stars move by up to 1.3 % more than in it: frequencies at most half a cycle
-    apart over the scan represent all between.
-    """
-    along_x, along_y = STEP_PX
-    if frames < 40:
-        return [along_x, along_y]
-    of_x = [order * along_x * more for order in (1, 2) for more in (1.0, 1.0065, 1.013)]
-    of_y = [order * along_y * more for order in (1, 2) for more in (1.0, 1.013)]
-    return [*of_x, *of_y, 3.0 * along_x, 3.0 * along_y]
-
-
-def _waves(cycles: NDArray[np.floating[Any]]) -> list[NDArray[np.floating[Any]]]:
-    return [np.cos(2.0 * math.pi * cycles), np.sin(2.0 * math.pi * cycles)]
 
 
 def _densities(one: FloatArray, two: FloatArray, other: FloatArray, step_px: float) -> Spectra:

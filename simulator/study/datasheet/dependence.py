@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,7 +14,7 @@ from simulator.scenario.fields import flatten
 from simulator.study.datasheet.estimates import Estimate, cross_square_deg2, mean_of, proportion, rms_of, upper_limit
 from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.sheet import LEVELS, Quantity
-from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
+from simulator.study.datasheet.tasks import TRIALS_PER_TASK, Columns, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.statistics import CAMERA_AXES
 from startracker.constants import ARCSEC_PER_DEG
@@ -91,7 +92,32 @@ def residuals(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[
         quantities += [
             named("aberration_residual", term.title, upper_limit(errors[:, k], level), level=level) for level in LEVELS
         ]
-    return quantities + _thermo_elastic(scenario, runner, count)
+    # at least a whole task, whose trials at the scenario's own temperature are those of the measurement error
+    pairs = min(max(count, TRIALS_PER_TASK), amounts.trials)
+    return quantities + _thermo_elastic(scenario, runner, pairs) + _mounting(scenario)
+
+
+def _mounting(scenario: Scenario) -> list[Quantity]:
+    """Thermo-elastic motion of the mounting around the orbit, by the scenario's amplitudes; none without it."""
+    given, term = scenario.pointing.thermo_elastic, TERMS["thermo_elastic"]
+    if not any(given.amplitude_arcsec):
+        return []
+    method = (
+        "amplitudes of the scenario (pointing.thermo_elastic), divided by √2; an error of the body's attitude alone"
+    )
+    sizes = [abs(amplitude) / math.sqrt(2.0) for amplitude in given.amplitude_arcsec]
+    return [
+        Quantity(
+            "thermo_elastic_mounting_rms",
+            f"{term.title} of the mounting, rms",
+            Estimate(size, size, size),
+            unit="arcsec",
+            axis=axis,
+            interpretation=term.interpretation,
+            method=method,
+        )
+        for size, axis in zip(sizes, CAMERA_AXES, strict=True)
+    ]
 
 
 def _thermo_elastic(scenario: Scenario, runner: TaskRunner, count: int) -> list[Quantity]:

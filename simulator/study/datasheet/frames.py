@@ -21,11 +21,11 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scene import Scene
-from simulator.study.datasheet.scan import ScanGeometry, scan_attitudes
+from simulator.study.datasheet.scan import PASSES, SAME_PIXELS, ScanGeometry, scan_attitudes
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.specification.measured import JUDGED_COLUMNS
 from simulator.study.statistics import AXES, CAMERA_AXES
-from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from simulator.study.trials.bounds import attitude_bound_deg, matched_sources, star_information
 from simulator.study.trials.trial import (
     TrialRunner,
     attitude_errors_deg,
@@ -35,13 +35,14 @@ from simulator.study.trials.trial import (
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.solution import Solution
 
-__all__ = ["PASSES", "DatasheetFrames", "sequence_columns"]
+__all__ = ["DatasheetFrames", "sequence_columns"]
 
 FloatArray = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 
-PASSES = 3
-"""Passes of a scan: two with the device, one with other pixels."""
+BORDER_PX = 3.0
+"""Distance from the border of the detector within which a star may be missing in some of the passes as it enters or
+leaves the field: its light reaches up to two pixels beyond, the shifts of the passes one."""
 
 BOUND_EVERY = 3
 """The bound of the noise is computed for each third frame of a scan."""
@@ -93,7 +94,7 @@ class DatasheetFrames:
         return columns | {"status": status, "solved": solved, "wrong": wrong, "right": solved & ~wrong}
 
     def scan(self, field: int, geometry: ScanGeometry) -> Columns:
-        """The three passes over one field.
+        """The passes over one field.
 
         The field is that of trial `field`, at its time and with its angular rate, which smears the images as in the
         mission; the attitudes of successive frames are those of the scan.
@@ -103,28 +104,31 @@ class DatasheetFrames:
         dict
             ``error_deg`` (passes, frames, 3), camera axes, NaN for frames without a correct attitude;
             ``noise_bound_deg`` (frames, 3), Cramér–Rao bound of the noise alone, NaN where it is not computed;
-            ``stars`` (passes, frames).
+            ``stars`` (passes, frames); ``same_field`` (frames,), whether no star enters or leaves the field between the
+            attitudes of the passes.
         """
         scene = self.renderer.scene(field)
         pointing, t_s = scene.pointing, scene.t_s
         self.renderer.scenes.plan([t_s])
         camera = self.renderer.camera
         looks = scan_attitudes(pointing.camera, geometry, (1.0 / camera.fx, 1.0 / camera.fy))
-        error_deg = np.full((PASSES, len(looks), 3), np.nan)
-        bound_deg = np.full((len(looks), 3), np.nan)
-        stars = np.zeros((PASSES, len(looks)))
-        for number in range(PASSES):
-            renderer = self.renderer if number < PASSES - 1 else self._with_other_pixels()
-            for k, look in enumerate(looks):
+        error_deg = np.full((PASSES, geometry.frames, 3), np.nan)
+        bound_deg = np.full((geometry.frames, 3), np.nan)
+        seen: list[list[dict[int, float]]] = [[] for _ in range(geometry.frames)]
+        for number, of_pass in enumerate(looks):
+            renderer = self.renderer if number < SAME_PIXELS else self._with_other_pixels()
+            for k, look in enumerate(of_pass):
                 index = _SCAN_INDEX + (field * PASSES + number) * _MOST_FRAMES + k
                 frame, truth = renderer.frame(
                     index, at_s=t_s, attitude=look, rate_camera_rad_s=pointing.rate_camera_rad_s
                 )
-                error, matched, fitted = self._measured(frame, truth)
-                error_deg[number, k], stars[number, k] = error, len(matched)
+                error_deg[number, k], matched, fitted = self._measured(frame, truth)
+                seen[k].append(_border_distances_px(truth, matched, frame.image.shape))
                 if number == 0 and k % BOUND_EVERY == 0 and fitted:
                     bound_deg[k] = attitude_bound_deg(self._with_noise_only(), truth, matched)
-        return {"error_deg": error_deg, "noise_bound_deg": bound_deg, "stars": stars}
+        same = np.array([_same_at_border(passes) for passes in seen])
+        stars = np.array([[len(found) for found in passes] for passes in seen]).T
+        return {"error_deg": error_deg, "noise_bound_deg": bound_deg, "stars": stars, "same_field": same}
 
     def at_rate(self, first: int, count: int, rate_deg_s: float) -> Columns:
         """Frames at the attitudes of trials, and a given rate about axes across the boresight, evenly distributed.
@@ -174,8 +178,9 @@ class DatasheetFrames:
     def with_false_stars(self, first: int, count: int, number: int) -> Columns:
         """The identified star images of trials, joined by `number` false ones.
 
-        The false ones are at random positions, with the fluxes of random true ones; the list is then solved as in the
-        trial. ``right`` (count,), and ``error_<axis>_deg`` of the camera's axes.
+        The false ones are at random positions, with the fluxes of random true ones and their uncertainties, which are
+        the bounds of each image; the list is then solved as in the trial. ``right`` (count,), and
+        ``error_<axis>_deg`` of the camera's axes.
         """
         error_deg = np.full((count, 3), np.nan)
         tracker, scenario = self.runner.tracker, self.runner.scenario
@@ -183,17 +188,30 @@ class DatasheetFrames:
             frame, truth = self.renderer.frame(first + k)
             seen = tracker.solve(frame.image, saturation_dn=frame.saturation_dn, gain_e_per_dn=frame.gain_e_per_dn)
             stars, rng = seen.stars, stream(scenario.seed, "false stars", first + k)
-            if seen.attitude is None:
+            rows = matched_sources(truth, stars.xy)
+            if seen.attitude is None or not len(rows):
                 continue
             size = (frame.image.shape[1], frame.image.shape[0])
             xy = np.concatenate([stars.xy, rng.uniform(-0.5, np.array(size) - 0.5, (number, 2))])
-            flux = np.concatenate([stars.flux, rng.choice(stars.flux, number)])
+            as_bright = np.concatenate([np.arange(len(stars)), rng.integers(len(stars), size=number)])
             solution = tracker.solve_centroids(
-                xy, flux, prior=frame.prior, prior_deg=frame.prior_deg, observer=frame.observer
+                xy,
+                stars.flux[as_bright],
+                sigma_px=self._bounds_px(truth, rows, stars.xy)[as_bright],
+                prior=frame.prior,
+                prior_deg=frame.prior_deg,
+                observer=frame.observer,
             )
             error_deg[k], _, _ = self._judged(solution, truth)
         named = {f"error_{axis}_deg": error_deg[:, i] for i, axis in enumerate(CAMERA_AXES)}
         return named | {"right": np.isfinite(error_deg).all(axis=1)}
+
+    def _bounds_px(self, truth: FrameTruth, rows: NDArray[np.int64], xy: FloatArray) -> FloatArray:
+        """Bounds (N,) of the images at positions (N, 2), each that of the nearest of the sources in `rows`."""
+        # of an image without information, as a saturated one, at most a hundred pixels
+        covariance = np.linalg.inv(star_information(self.renderer, truth, rows) + 1e-4 * np.eye(2))
+        apart = np.linalg.norm(truth.sources.image_xy[rows][None] - xy[:, None], axis=2)
+        return np.asarray(np.sqrt(0.5 * np.trace(covariance, axis1=1, axis2=2))[np.argmin(apart, axis=1)])
 
     def model_residuals(self, first: int, count: int) -> Columns:
         """Attitude error of trials with perfect star images, ``error_deg`` (count, 3), camera axes.
@@ -251,6 +269,22 @@ class DatasheetFrames:
             self._noise_only = copy.copy(self.renderer)
             self._noise_only.detector = Detector(replace(device.parameters, prnu=0.0, dsnu=0.0), device.pattern)
         return self._noise_only
+
+
+def _border_distances_px(truth: FrameTruth, rows: NDArray[np.int64], shape: tuple[int, ...]) -> dict[int, float]:
+    """Distance from the border of the image, negative outside, of the stars in given rows of the sources, by number."""
+    size = np.array(shape[::-1])
+    xy = truth.sources.image_xy[rows]
+    inside = np.minimum(xy + 0.5, size - 0.5 - xy).min(axis=1)
+    return dict(zip(truth.sources.id[rows].tolist(), inside.tolist(), strict=True))
+
+
+def _same_at_border(passes: list[dict[int, float]]) -> bool:
+    """Whether no star near the border is missing in some of the passes."""
+    everywhere = set(passes[0]).intersection(*passes[1:])
+    return not any(
+        distance < BORDER_PX for found in passes for star, distance in found.items() if star not in everywhere
+    )
 
 
 def _body_direction(scene: Scene, body: str) -> tuple[FloatArray, float]:

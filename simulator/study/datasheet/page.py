@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from simulator.scenario import Scenario
@@ -46,18 +47,27 @@ def _html(sheet: Datasheet) -> str:
         provenance=_provenance(sheet),
         tone=TONES[sheet.columns[-1].judgement.state],
         answers=[
-            (column.life, column.judgement.text, verdict_table(column.judgement), _answers(column))
+            (column.life, column.judgement.text, verdict_table(column.judgement), list(map(_joined, _answers(column))))
             for column in sheet.columns
         ],
         conditions=_conditions(sheet.columns),
-        accuracy=[(column.life, accuracy_table(column)) for column in sheet.columns],
-        sections=_sections(sheet.columns),
+        accuracy=[(column.life, _joined_cells(accuracy_table(column))) for column in sheet.columns],
+        sections=[(heading, _joined_cells(table)) for heading, table in _sections(sheet.columns)],
         figures=[drawn(panel, f"d{k}") for k, panel in enumerate(found)],
         terms=terms_table(),
         interpretations=INTERPRETATIONS,
         standard=STANDARD,
         resolved=sheet.scenario.to_yaml(),
     )
+
+
+def _joined(text: str) -> str:
+    """Text in which a browser does not break an interval after its dash."""
+    return text.replace("–", "–\N{WORD JOINER}")
+
+
+def _joined_cells(table: Table) -> Table:
+    return replace(table, rows=tuple(tuple(map(_joined, row)) for row in table.rows))
 
 
 def _pdf(sheet: Datasheet) -> bytes:

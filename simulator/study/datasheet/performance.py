@@ -141,7 +141,12 @@ def rates(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> tuple[Qua
 
 
 def exclusion(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[Quantity]:
-    """Smallest angles of the boresight from Sun, Moon and Earth at which frames are solved, by bisection."""
+    """Smallest angles of the boresight from Sun, Moon and Earth at which frames are solved, by bisection.
+
+    They are not determined for a scenario without stray light, which decides them."""
+    if scenario.optics.baffle.pst is None:
+        bodies = ("sun", "earth", "moon") if scenario.sky.planets else ("sun", "earth")
+        return [_angle(body, Estimate(None), "the scenario has no stray light (optics.baffle.pst)") for body in bodies]
     count = amounts.per_rate
     without_earth = scenario.changed({"sky.earth": False})  # it would cover some of the fields near Sun and Moon
     cases = {"sun": without_earth, "earth": scenario} | ({"moon": without_earth} if scenario.sky.planets else {})
@@ -158,18 +163,16 @@ def exclusion(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> list[
 
         passed, failed = bracket(passes, 1.0 / FIRST_ANGLE_DEG, amounts.bisections, 1.0 / SMALLEST_ANGLE_DEG)
         value = None if passed is None else 1.0 / passed
+        size = Estimate(value, None if failed is None else 1.0 / failed, value)
         limb = " of its limb" if body == "earth" else ""
-        quantities.append(
-            Quantity(
-                f"smallest_angle_{body}",
-                f"Smallest angle from the {body.title()}",
-                Estimate(value, None if failed is None else 1.0 / failed, value),
-                "deg",
-                interpretation="ensemble",
-                method=f"boresight{limb}: at least {100 * LEAST_SHARE:g} % of {count} frames correct; bracket",
-            )
-        )
+        method = f"boresight{limb}: at least {100 * LEAST_SHARE:g} % of {count} frames correct; bracket"
+        quantities.append(_angle(body, size, method))
     return quantities
+
+
+def _angle(body: str, size: Estimate, method: str) -> Quantity:
+    title = f"Smallest angle from the {body.title()}"
+    return Quantity(f"smallest_angle_{body}", title, size, "deg", interpretation="ensemble", method=method)
 
 
 def tracking(scenario: Scenario, runner: TaskRunner, amounts: Amounts, rate_deg_s: float | None) -> list[Quantity]:

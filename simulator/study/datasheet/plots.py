@@ -23,9 +23,9 @@ LOOKS = ((BLUE, "o", "-"), (ORANGE, "s", "--"))
 """Colour, marker and line of each stage of life."""
 
 SPECTRUM_NOTE = (
-    "Against the spatial frequency of the motion. What other pixels repeat is the FOV spatial error, and at the "
-    "harmonics of the pixel period (dotted: the first ones, aliased) the interpolation error; what only the same "
-    "pixels repeat is the error by their unevenness."
+    "Against the spatial frequency of the motion. What the passes with other pixels repeat is the FOV spatial error. "
+    "What only the same pixels repeat is the pixel spatial error: of uneven pixels, and, at the harmonics of the pixel "
+    "period (dotted: the first ones, aliased), of interpolation."
 )
 
 Points = Sequence[dict[str, Any]]
@@ -71,7 +71,7 @@ def panels(columns: Sequence[Column]) -> list[Panel]:
         found.append(
             Panel(
                 f"Error against {title}",
-                "Rms per axis across the boresight; the share of correct attitudes is written at each point.",
+                "Rms per axis across the boresight; the share of correct attitudes is written where it is below 100 %.",
                 partial(_draw_series, columns, k, label),
             )
         )
@@ -107,7 +107,7 @@ def _draw(
     else:
         ax.set_ylim(0.0, high)
     if len(columns) > 1:
-        ax.legend()
+        ax.legend(loc="lower left" if quantity == SHARE else "best")
 
 
 def _curve(ax: Axes, points: Points, key: str, name: str, look: tuple[str, str, str]) -> None:
@@ -129,7 +129,7 @@ def _draw_series(columns: Sequence[Column], number: int, label: str, ax: Axes) -
         points = column.series[number].points
         _curve(ax, points, "cross_rms_arcsec", column.life, look)
         for point in points if column is columns[0] else ():
-            if point["cross_rms_arcsec"][0] is not None:
+            if point["cross_rms_arcsec"][0] is not None and point["available"][0] < 1.0:
                 where = (point["value"], point["cross_rms_arcsec"][0])
                 share = f"{100 * point['available'][0]:.0f} %"
                 ax.annotate(share, where, (0, 7), textcoords="offset points", ha="center", fontsize=7, color=SOFT)

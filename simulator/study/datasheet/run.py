@@ -13,6 +13,7 @@ from simulator.study.datasheet.accuracy import Accuracy, measure_accuracy
 from simulator.study.datasheet.dependence import Series, residuals, robustness, temperature
 from simulator.study.datasheet.performance import acquisition, exclusion, rates, tracking
 from simulator.study.datasheet.plan import FULL, QUICK, Amounts
+from simulator.study.datasheet.scan import CUT_PERIOD_PX
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.datasheet.sky import availability, sky_coverage
 from simulator.study.datasheet.tasks import PARTS_FOLDER, TaskRunner
@@ -65,7 +66,7 @@ class Column:
                 "fields_left_out": found.left_out,
                 "frames": self.accuracy.geometry.frames,
                 "step_px": self.accuracy.geometry.step_px,
-                "cut_period_px": self.accuracy.geometry.cut_period_px,
+                "cut_period_px": CUT_PERIOD_PX,
             },
             "spectra_arcsec2_px": {name: getattr(spectra, name).tolist() for name in spectra._fields},
         }

@@ -39,7 +39,7 @@ def sky_coverage(scenario: Scenario, amounts: Amounts) -> list[Quantity]:
 
 def _covered(found: Coverage, name: str, where: str) -> list[Quantity]:
     counts, count = found.allowed_counts, len(found.boresights)
-    method = f"{count} {where}; stars to V = {found.magnitude_limit:.2f} ({found.limit_reason})"
+    method = f"{count} {where}; stars to V = {found.magnitude_limit:.2f}: {found.limit_reason}"
     quantities = [
         Quantity(
             f"coverage_{name}_{stars}",

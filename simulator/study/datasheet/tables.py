@@ -26,6 +26,7 @@ __all__ = [
 ]
 
 UNITS = {"arcsec": "″", "deg": "°", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
+UNBROKEN = "\N{NO-BREAK SPACE}"
 AXIS_NAMES = {"cross_x": "x", "cross_y": "y", "about_boresight": "about"}
 """Short names of the camera's axes."""
 
@@ -44,10 +45,13 @@ def number_text(value: float, largest: float | None = None) -> str:
 
 
 def estimate_text(size: Estimate, unit: str = "", percent: bool = False) -> str:
-    """Value and interval: ``0.126″ (0.108–0.156)``, or ``0.126″ (≥ 0.108)`` without an upper limit."""
+    """Value and interval: ``0.126″ (0.108–0.156)``, or ``0.126″ (≥ 0.108)`` without an upper limit. Angles below
+    0.001″ are in milliarcseconds; spaces within the brackets do not break."""
     value, low, high = size.plain()
     if value is None:
         return "not determined"
+    if unit == "arcsec" and 0.0 < max(abs(part) for part in (value, low, high) if part is not None) < 1e-3:
+        return estimate_text(size.times(1000.0), "mas")
     scale, sign = (100.0, " %") if percent else (1.0, UNITS.get(unit, unit))
     gap = " " if sign[:1].isalpha() else ""
     known = [scale * part for part in (value, low, high) if part is not None]
@@ -59,15 +63,15 @@ def estimate_text(size: Estimate, unit: str = "", percent: bool = False) -> str:
     if (low, high) == (value, value):
         return f"{shown} (exact)"
     if low is None or high is None:
-        return f"{shown} ({'≤' if low is None else '≥'} {ends[0]})"
-    return f"{shown} ({' to '.join(ends) if low < 0.0 else '–'.join(ends)})"
+        return f"{shown} ({'≤' if low is None else '≥'}{UNBROKEN}{ends[0]})"
+    return f"{shown} ({f'{UNBROKEN}to{UNBROKEN}'.join(ends) if low < 0.0 else '–'.join(ends)})"
 
 
 def accuracy_table(column: Column) -> Table:
     """Classes by axis: rms or mean, and the levels."""
     values = column.sections["accuracy"] + column.sections["residuals"]
     rows = []
-    for name in (*ROWS[:1], "thermo_elastic", *ROWS[1:5], "aberration_residual", *ROWS[5:]):
+    for name in (*ROWS[:1], "thermo_elastic", "thermo_elastic_mounting", *ROWS[1:5], "aberration_residual", *ROWS[5:]):
         for axis in CAMERA_AXES:
             cells = [_first(values, (f"{name}_mean", f"{name}_rms", name), axis)]
             cells += [select(values, name, axis, level) for level in LEVELS]

@@ -29,7 +29,7 @@ from simulator.study.trials.stopping import no_interrupt_for_children, stop_on_s
 from simulator.study.trials.warm_up import warm_up
 from startracker.errors import BoresightError
 
-__all__ = ["PARTS_FOLDER", "Columns", "Interrupted", "Task", "TaskRunner", "joined", "trial_tasks"]
+__all__ = ["PARTS_FOLDER", "TRIALS_PER_TASK", "Columns", "Interrupted", "Task", "TaskRunner", "joined", "trial_tasks"]
 
 Columns = dict[str, NDArray[Any]]
 

@@ -54,7 +54,7 @@ TERMS = {
     "fov_spatial": Term(
         "FOV spatial error",
         "repeatable error with spatial periods from a few pixels to the whole field",
-        "common to three passes over a field, without the harmonics of the pixel period",
+        "common to passes over a field with other pixels and other positions of the stars within them",
         "mixed",
         "read: Rev.1, 3.2.8.3, where the period is the supplier's choice",
     ),

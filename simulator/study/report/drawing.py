@@ -26,7 +26,8 @@ def drawn_apart(draw: Callable[[Content], Page], content: Content) -> Page:
         If the process fails (out of memory?).
     """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    command = [sys.executable, "-m", "simulator.study.report.drawing"]
+    # -P: a folder of results may have the name of a module, and is not to be imported
+    command = [sys.executable, "-P", "-m", "simulator.study.report.drawing"]
     done = subprocess.run(
         command, input=pickle.dumps((draw, content)), capture_output=True, env=environment, check=False
     )

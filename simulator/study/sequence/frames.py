@@ -11,16 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.build import sequence_motion
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, gyro_samples
-from simulator.mission.motion import MotionState, motion
-from simulator.mission.pointing import Pointing, hold, point, point_spinning
-from simulator.optics.jitter import JitterPath
+from simulator.mission.motion import MotionState, on_mounting
+from simulator.mission.pointing import deformed
+from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.study.sequence.calibration import CalibratedCamera
+from simulator.study.sequence.columns import NO_FRAME, attitude_columns, camera_error_deg, error_columns
 from simulator.study.sequence.operation import OperatedCamera
+from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
@@ -30,13 +32,14 @@ from simulator.study.trials.trial import (
     build_tracker,
     in_field,
     misidentified,
+    mounting_columns,
     normalised_error_squared,
 )
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.kernels import clock
 from startracker.solution import Solution
-from startracker.tracking import GyroNoise, RateNoise, TrackingSession
+from startracker.tracking import TrackingSession
 
 __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]
 
@@ -45,14 +48,7 @@ FloatArray = NDArray[np.float64]
 MODES = ("tracking", "prior", "lost_in_space", "coasting", "none")
 """Source of the attitude of a frame: windows; whole frame near the prediction; whole frame and whole sky; prediction
 only; none."""
-NO_FRAME = "no_frame"
-"""Status of a missing frame."""
 LEAST_PRIOR_DEG = 0.1
-_LEAST_WALK = 1e-6
-"""Minimum disturbance, rad/s/√s, assumed by the filter: a freely drifting body."""
-_FEWEST_FOR_WALK = 8
-_LAG_MARGIN = 3.0
-"""Factor on a constant acceleration, which is not white noise, so that the lag of the filter is less than its σ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +87,13 @@ class SequenceRunner:
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification = specification_of(scenario)
         section = scenario.sequence
-        self._pointing = scenario.pointing
-        self.start = self._start()
-        plan, orbit = sequence_motion(section), self.renderer.scenes.orbit
-        self.states = motion(self._pointing, plan, orbit, self.start, section.frames)
+        self.start = start_pointing(scenario, self.renderer)
+        since_s = [k * section.step_s for k in range(section.frames)]
+        self.states = states_at(scenario, self.renderer.scenes, self.start, since_s)
         self.renderer.scenes.plan([state.t_s for state in self.states])
-        self.shaking = self._shaking()
+        self.rotations_rad = [self.renderer.scenes.mounting_rotation_rad(state.t_s) for state in self.states]
+        self.states = [on_mounting(state, turn) for state, turn in zip(self.states, self.rotations_rad, strict=True)]
+        self.shaking = jitter_at(scenario, self.renderer.scenes, since_s)
         self.cameras = [state.camera for state in self.states]
         """True attitudes, including the mean jitter over the exposure."""
         self.rates = [state.rate_camera_rad_s for state in self.states]
@@ -109,72 +106,23 @@ class SequenceRunner:
         self.biases: FloatArray | None = None
         if section.gyro.use:
             turns = [a.rotation_vector_to(b) for a, b in pairwise(self.cameras)]
-            samples = gyro_samples(
+            self.gyro, self.biases, _ = gyro_samples(
                 section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
             )
-            self.gyro, self.biases = samples
-        self.noise = self._noise()
+        self.noise = process_noise(section, self.states, self.shaking, self.renderer.exposure_s)
         self.operated: OperatedCamera | None = None
         """The camera with its rules of operation, set by `frames`; None without rules."""
+        self.calibrated: CalibratedCamera | None = None
+        """The camera with its calibration in flight, set by `frames`; None without."""
 
-    def _shaking(self) -> list[JitterPath]:
-        """Jitter relative to each mid-exposure, one process for the whole sequence; empty without jitter."""
-        path = self.renderer.scenes.draw_jitter(stream(self.scenario.seed, "jitter", 0))
-        section = self.scenario.sequence
-        return [path.shifted(k * section.step_s) for k in range(section.frames)] if path is not None else []
-
-    def _jitter(self, k: int) -> JitterPath | None:
+    def _jitter(self, k: int) -> JitterMotion | None:
         return self.shaking[k] if self.shaking else None
-
-    def _start(self) -> Pointing:
-        """Attitude at the first frame: that of trial 0 at this time, without jitter."""
-        scenario, scenes = self.scenario, self.renderer.scenes
-        rng, start_s = stream(scenario.seed, "pointing", 0), scenario.sequence.start_s
-        if scenario.pointing.target is None and scenario.pointing.spin.rate_deg_s:
-            return point_spinning(self._pointing, start_s, rng)
-        if scenario.pointing.target is None:
-            return point(self._pointing, *scenes.orbit.state(start_s), rng)
-        nominal = self.renderer.scene(0, at_s=start_s).pointing.prior
-        return hold(self._pointing, nominal, rng)
-
-    def _noise(self) -> GyroNoise | RateNoise:
-        """Process noise of the filter: motion or gyro."""
-        section = self.scenario.sequence
-        walk = section.rate_walk_deg_s_sqrt_s
-        if walk == "auto":
-            rates = np.array([state.rate_camera_rad_s for state in self.states])
-            change = np.linalg.norm(np.diff(rates, axis=0), axis=1).max(initial=0.0) / section.step_s
-            acceleration = max(_LEAST_WALK, _LAG_MARGIN * change * math.sqrt(section.step_s), self._jitter_walk())
-        else:
-            acceleration = math.radians(walk)
-        if not section.gyro.use:
-            return RateNoise(acceleration, math.radians(section.rate_sigma_deg_s))
-        gyro = section.gyro
-        return GyroNoise(
-            angle_random_walk=gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H,
-            rate_random_walk=gyro.bias_instability_deg_h * DEG_H * math.sqrt(2.0 / gyro.bias_time_s),
-            bias_sigma_rad_s=max(math.hypot(gyro.bias_deg_h, gyro.bias_instability_deg_h) * DEG_H, 1e-9),
-            acceleration=acceleration,
-            scale_sigma=gyro.scale_factor_ppm * 1e-6,
-        )
-
-    def _jitter_walk(self) -> float:
-        """White angular acceleration, rad/s/√s, equivalent to the second differences of the jitter angles.
-
-        For an angle driven by a density q their variance is 2 q h³/3 at a step h.
-        """
-        section = self.scenario.sequence
-        angles = np.array([j.mean(self.renderer.exposure_s) for j in self.shaking])
-        if len(angles) < _FEWEST_FOR_WALK:
-            return 0.0
-        variance = np.mean(np.diff(angles, 2, axis=0) ** 2, axis=0).max()
-        return math.sqrt(1.5 * float(variance) / section.step_s**3)
 
     # ------------------------------------------------------------------ the frames
     def frames(self) -> Iterator[TrackedFrame]:
         """All frames in order; reproducible."""
         scenario, section = self.scenario, self.scenario.sequence
-        session = TrackingSession(self.tracker, self.noise, exposure_s=self.renderer.exposure_s)
+        session = self._session()
         if scenario.tracker.prior:  # uniform within the half width about each axis
             half_width_deg = max(scenario.pointing.error_deg, LEAST_PRIOR_DEG)
             session.reset(self.start.prior, half_width_deg / math.sqrt(3.0))
@@ -200,23 +148,27 @@ class SequenceRunner:
             image: NDArray[Any] = frame.image
             if self.operated is not None and self.operated.verdict.image is not None:
                 image = self.operated.verdict.image
-            known: dict[str, Any] = {
-                "observer": frame.observer,
-                "saturation_dn": frame.saturation_dn,
-                "gain_e_per_dn": frame.gain_e_per_dn,
-            }
+            known: dict[str, Any] = {n: getattr(frame, n) for n in ("observer", "saturation_dn", "gain_e_per_dn")}
             solution = session.update(image, since_s + truth.time_tag_error_s, gyro_rad_s=gyro, **known)
             tracked = clock()
             times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
             row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
-            row["wrong"] = self._is_wrong(truth, solution, row["stars_misidentified"], row["nees"], _camera_error(row))
+            misnamed, error_deg = row["stars_misidentified"], camera_error_deg(row)
+            row["wrong"] = self._is_wrong(truth, solution, misnamed, row["nees"], error_deg)
             if self.single:
                 row |= self._alone(self.tracker.solve(image, **known), truth)
             row |= self.operated.columns(frame, solution, session) if self.operated else {}
             windows = session.state.window_xy
             half = session.state.window_half_px
             yield TrackedFrame(row, frame, solution, np.empty((0, 2)) if windows is None else windows, half)
+
+    def _session(self) -> TrackingSession:
+        """A new session, with calibration in flight if the scenario has it."""
+        if not self.scenario.tracker.in_flight_calibration.use:
+            return TrackingSession(self.tracker, self.noise, exposure_s=self.renderer.exposure_s)
+        self.calibrated = CalibratedCamera(self.scenario, self.renderer, self.tracker)
+        return self.calibrated.session(self.noise)
 
     def _take(
         self, k: int, state: MotionState, since_s: float, session: TrackingSession
@@ -263,7 +215,8 @@ class SequenceRunner:
         render_ms: float,
         track_ms: float,
     ) -> dict[str, Any]:
-        mounting = self.start.mounting
+        rotation_rad = self.rotations_rad[k]
+        mounting = deformed(self.start, rotation_rad).mounting
         estimate, covariance = session.filter_attitude, session.covariance
         mode = session.state.mode if solution.solved else "none" if estimate is None else "coasting"
         innovation = session.state.innovation
@@ -278,21 +231,13 @@ class SequenceRunner:
             "wrong": False,
             "beyond_specification": False,
         }
-        row |= _attitude_columns("true_", true) | _attitude_columns("", estimate)
-        errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
-        sigma = np.full(6, math.nan)
-        nees = math.nan
-        if estimate is not None and covariance is not None:
-            errors = attitude_errors_deg(true, estimate, mounting)
-            row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
-            camera = covariance[:3, :3]
-            to_body = mounting.inverse.as_matrix()
-            sigma = np.degrees(np.sqrt([*np.diag(to_body @ camera @ to_body.T), *np.diag(camera)]))
-            vector = true.rotation_vector_to(estimate)
-            nees = float(vector @ np.linalg.solve(camera, vector))
-        row |= {f"error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
-        row |= {f"sigma_{axis}_deg": float(v) for axis, v in zip((*BODY_AXES, *CAMERA_AXES), sigma, strict=True)}
-        row["nees"] = nees
+        row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
+        compared = error_columns(
+            true, estimate, None if covariance is None else covariance[:3, :3], mounting, rotation_rad
+        )
+        errors = {axis: compared[f"error_{axis}_deg"] for axis in (*BODY_AXES, *CAMERA_AXES)}
+        row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
+        row |= compared
         row |= self._rates(k, session)
         row |= {
             "innovation_distance2": innovation.distance2 if innovation else math.nan,
@@ -303,6 +248,7 @@ class SequenceRunner:
             "stars_expected": session.state.expected,
             "stars_in_field": 0,
             "bodies_in_field": 0,
+            "satellites_in_field": 0,
             "excluded": "",
             "stars_detected": len(solution.centroids),
             "stars_matched": session.state.matched,
@@ -310,6 +256,8 @@ class SequenceRunner:
             "render_ms": render_ms,
             "track_ms": track_ms,
         }
+        if self.calibrated is not None:
+            row |= self.calibrated.columns(state.t_s, tracked=solution.solved)
         return row
 
     def _rates(self, k: int, session: TrackingSession) -> dict[str, float]:
@@ -338,10 +286,8 @@ class SequenceRunner:
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:
-        stars, bodies = in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit)
         return {
-            "stars_in_field": stars,
-            "bodies_in_field": bodies,
+            **in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit),
             "excluded": ", ".join(truth.excluded),
             "stars_misidentified": misidentified(truth, solution) if self.same_catalog else 0,
         }
@@ -357,7 +303,8 @@ class SequenceRunner:
         }
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
-            errors = attitude_errors_deg(truth.attitude_at_tag, solution.attitude, truth.mounting)
+            true = truth.attitude_at_tag
+            errors = attitude_errors_deg(true, solution.attitude, truth.mounting, truth.mounting_rotation_rad)
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
@@ -379,17 +326,3 @@ class SequenceRunner:
             bound_deg = attitude_bound_deg(self.renderer, truth, stars)
             bound_deg = explained_deg(self.renderer, truth, stars, bound_deg)
         return is_wrong(misidentified, nees, error_deg, bound_deg)
-
-
-def _camera_error(row: dict[str, Any]) -> FloatArray:
-    """Error about the camera's axes (3,), degrees, of a row."""
-    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
-
-
-def _attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
-    values = [math.nan] * 7
-    if attitude is not None:
-        values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *(float(v) for v in attitude.quat)]
-    return dict(
-        zip((f"{prefix}{n}" for n in ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")), values, strict=True)
-    )

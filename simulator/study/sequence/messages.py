@@ -1,4 +1,4 @@
-"""Trajectory and attitudes of a sequence as messages of CCSDS."""
+"""Trajectory and attitudes of a sequence for other programs: messages of CCSDS, kernels of SPICE, columns."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 
 from simulator.build import build_orbit
 from simulator.mission.messages import Header, acm_text, aem_text, oem_text
+from simulator.mission.spice import Attitudes, spice_kernels
+from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
 from simulator.study.statistics import CAMERA_AXES
 
-__all__ = ["sequence_messages"]
+__all__ = ["sequence_kernels", "sequence_messages", "state_columns"]
+
+FloatArray = NDArray[np.float64]
 
 _QUATERNION = ("qx", "qy", "qz", "qw")
 
@@ -32,9 +36,7 @@ def sequence_messages(scenario: Scenario, columns: Mapping[str, NDArray[Any]], c
         Date and time of the files, UTC.
     """
     orbit, t_s = build_orbit(scenario), np.asarray(columns["t_s"], dtype=float)
-    true, estimated = (
-        np.stack([columns[f"{prefix}{name}"] for name in _QUATERNION], axis=1) for prefix in ("true_", "")
-    )
+    true, estimated = _quaternions(columns)
     sigma_deg = np.stack([columns[f"sigma_{axis}_deg"] for axis in CAMERA_AXES], axis=1)
 
     def header(comment: str) -> Header:
@@ -51,3 +53,35 @@ def sequence_messages(scenario: Scenario, columns: Mapping[str, NDArray[Any]], c
             orbit.clock, *rows, sigma_deg[known] ** 2, header("attitude by the star tracker, with its variances")
         )
     return files
+
+
+def sequence_kernels(scenario: Scenario, columns: Mapping[str, NDArray[Any]]) -> dict[str, bytes]:
+    """Files by name: ``trajectory.bsp``, ``true.bc`` and ``estimated.bc``, and the kernels of the clock and the frame
+    (`simulator.mission.spice`).
+
+    Raises
+    ------
+    InputError
+        If SpiceyPy is not installed.
+    """
+    orbit, t_s = build_orbit(scenario), np.asarray(columns["t_s"], dtype=float)
+    true, estimated = _quaternions(columns)
+    known = np.isfinite(estimated).all(axis=1)
+    attitudes = {"true.bc": Attitudes(t_s, true)}
+    if known.any():
+        attitudes["estimated.bc"] = Attitudes(t_s[known], estimated[known])
+    return spice_kernels(orbit, t_s, attitudes)
+
+
+def state_columns(scenario: Scenario, t_s: FloatArray) -> dict[str, FloatArray]:
+    """True geocentric positions, km, and velocities, km/s, in ICRF axes at times (N,) as columns (N,)."""
+    states = np.concatenate(geocentric(build_orbit(scenario), np.asarray(t_s, dtype=float)), axis=1)
+    return dict(zip(("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s"), states.T, strict=True))
+
+
+def _quaternions(columns: Mapping[str, NDArray[Any]]) -> tuple[FloatArray, FloatArray]:
+    """True and estimated quaternions (N, 4), scalar last."""
+    true, estimated = (
+        np.stack([columns[f"{prefix}{name}"] for name in _QUATERNION], axis=1) for prefix in ("true_", "")
+    )
+    return true, estimated

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.motion import MotionState
-from simulator.optics.jitter import JitterPath
+from simulator.optics.jitter_series import JitterMotion
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.study.sequence.true_defects import compare_defects
 from startracker.solution import Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
@@ -61,7 +62,7 @@ class OperatedCamera:
         """B − V and magnitude error of every measured star, (N, 2) per frame."""
 
     def expose(
-        self, k: int, state: MotionState, since_s: float, session: TrackingSession, jitter: JitterPath | None
+        self, k: int, state: MotionState, since_s: float, session: TrackingSession, jitter: JitterMotion | None
     ) -> tuple[Frame, FrameTruth] | None:
         """Frame and truth at the exposure set by the rules, with their verdict; None while suspended."""
         self.exposure_s = self.rules.exposure_s
@@ -122,25 +123,6 @@ class OperatedCamera:
         good = np.isfinite(read) & np.isfinite(b_v) & ~saturated_near(frame.image, stars.xy, frame.saturation_dn)
         return np.stack([b_v[good], (read - stars.v_mag)[good]], axis=1)
 
-    def true_defects(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Definitely defective pixels, and pixels that may be classified as defective, (H, W).
-
-        By the mean dark signal at the longest exposure: above its median by twice `blemish_sigma` times the noise of a
-        pixel (including the spread of the normal dark signal), or by half as much. Dead pixels read the offset like
-        empty sky, and belong to the second group.
-        """
-        scenario = self.scenario
-        shape = (scenario.detector.height, scenario.detector.width)
-        pattern = self.renderer.detector.pattern
-        dark = np.broadcast_to(pattern.dark_e_s, shape) * self.renderer.exposure_s
-        middle = float(np.median(dark))
-        spread = 1.4826 * float(np.median(np.abs(dark - middle)))
-        limit = scenario.sequence.operation.blemish_sigma * math.sqrt(
-            scenario.detector.read_noise_e**2 + middle + spread**2
-        )
-        maybe = dark - middle > 0.5 * limit
-        return np.asarray(dark - middle > 2.0 * limit), maybe if pattern.dead is None else maybe | pattern.dead
-
 
 def summarise_operation(camera: OperatedCamera, columns: dict[str, NDArray[Any]], step_s: float) -> dict[str, Any]:
     """Number of actions of each rule, exposures, and comparison of the map of defective pixels and the magnitudes with
@@ -150,8 +132,6 @@ def summarise_operation(camera: OperatedCamera, columns: dict[str, NDArray[Any]]
     single relation for all stars. Without it the standard deviation of the errors is ``std_without_colour``.
     """
     status, rule = columns["status"], columns["rule"]
-    certain, maybe = camera.true_defects()
-    mapped = camera.rules.blemishes
     exposures = columns["exposure_s"]
     return {
         "discarded": int(np.sum(status == DISCARDED)),
@@ -159,12 +139,7 @@ def summarise_operation(camera: OperatedCamera, columns: dict[str, NDArray[Any]]
         "sun_frames": int(np.sum((rule == "sun") & np.isfinite(columns["render_ms"]))),
         "moon_frames": int(np.sum(rule == "moon")),
         "exposure_s": {"first": float(exposures[0]), "shortest": float(exposures.min()), "last": float(exposures[-1])},
-        "blemishes": {
-            "mapped": int(mapped.sum()),
-            "certain": int(certain.sum()),
-            "certain_mapped": int(np.sum(certain & mapped)),
-            "sound_mapped": int(np.sum(mapped & ~maybe)),
-        },
+        "blemishes": compare_defects(camera.renderer, camera.rules.blemishes, camera.rules.settings.blemish_sigma),
         "magnitudes": _magnitudes(camera.colours),
     }
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from simulator.study.html_page import TONES, Table, drawn, provenance, render_page, verdict_table
 from simulator.study.sequence.frames import MODES
+from simulator.study.sequence.heads_plots import heads_panels, heads_table
 from simulator.study.sequence.plots import MODE_TITLES, panels
 from simulator.study.statistics import AXES
 from simulator.study.texts import deg_text
@@ -35,10 +36,10 @@ def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
         The animation.
     """
     scenario, summary, columns = sequence.scenario, sequence.summary, sequence.columns
-    judged = sequence.judgement
+    judged, heads = sequence.judgement, [head.name for head in scenario.heads]
     groups = [
         (heading, [drawn(panel, f"s{i}-{k}") for k, panel in enumerate(group)])
-        for i, (heading, group) in enumerate(panels(columns).items())
+        for i, (heading, group) in enumerate((heads_panels(columns, heads) | panels(columns)).items())
     ]
     embedded = gif is not None and len(gif) <= _LARGEST_GIF_BYTES
     return render_page(
@@ -50,8 +51,10 @@ def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
         verdict=judged.text,
         requirements=verdict_table(judged),
         accuracy=_accuracy(summary),
+        heads=heads_table(summary["heads"]) if heads else None,
         modes=Table(("mode", "time"), tuple((MODE_TITLES[m], f"{summary['time_in_mode_s'][m]:g} s") for m in MODES)),
         groups=groups,
+        calibration=_calibration(summary["in_flight_calibration"]) if "in_flight_calibration" in summary else None,
         unsolved=_unsolved(summary, columns),
         animation="data:image/gif;base64," + base64.b64encode(gif).decode("ascii") if embedded and gif else None,
         beside=gif is not None and not embedded,
@@ -85,6 +88,29 @@ def _accuracy(summary: dict[str, Any]) -> Table:
         *(("rms, single frames", "gain") if single else ()),
     )
     return Table(headings, tuple(rows), note=f"{note}.")
+
+
+def _calibration(found: dict[str, Any]) -> Table:
+    """Parameters of the lens at the end of a calibration in flight, compared with the truth."""
+    rows = []
+    for name, value in found["parameters"].items():
+        constant_s = value["time_constant_s"]
+        rows.append(
+            (
+                name.replace("_", " "),
+                *(f"{value[key]:.4g}" for key in ("value", "sigma", "true")),
+                f"{value['error_sigmas']:+.2f}",
+                "–" if constant_s is None else f"{constant_s:.0f} s",
+            )
+        )
+    chi2, pixels, used = found["chi2"], found["defective_pixels"], found["frames_used"]
+    good = f"{pixels['sound_mapped']} good ones"
+    note = (
+        f"Changes since the calibration on the ground, after {used} frames. χ² of all parameters "
+        f"{chi2['value']:.1f} (95 % bounds {chi2['bounds95'][0]:.1f} to {chi2['bounds95'][1]:.1f}). Of "
+        f"{pixels['certain']} defective pixels {pixels['certain_mapped']} are mapped, and {good}."
+    )
+    return Table(("parameter", "estimate", "σ", "truth", "error / σ", "time constant"), tuple(rows), note=note)
 
 
 def _unsolved(summary: dict[str, Any], columns: dict[str, NDArray[Any]]) -> Table:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from simulator.study.sequence.calibration_plots import calibration_panels
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.operation_plots import operation_panels
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
@@ -17,7 +18,7 @@ from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Pan
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MODE_COLOURS", "MODE_TITLES", "draw_error", "draw_modes", "panels"]
+__all__ = ["MODE_COLOURS", "MODE_TITLES", "draw_compared", "draw_error", "draw_modes", "panels", "time_axis"]
 
 Columns = dict[str, NDArray[Any]]
 
@@ -63,15 +64,23 @@ def panels(columns: Columns) -> dict[str, list[Panel]]:
             for name, key in (("Right ascension", "ra_deg"), ("Declination", "dec_deg"), ("Roll", "roll_deg"))
         ],
         "Rate": [
-            Panel(f"Rate about the camera's {axis}", "", _compared(f"rate_{axis}_deg_s", "rate [°/s]", columns))
+            Panel(f"Rate about the camera's {axis}", "", draw_compared(f"rate_{axis}_deg_s", "rate [°/s]", columns))
             for axis in "xyz"
         ],
     }
     if "rule" in columns:
         groups["Rules of operation"] = operation_panels(columns)
+    if "lens_updated" in columns:
+        groups["Calibration in flight"] = calibration_panels(columns)
     if "true_bias_x_deg_h" in columns:
+        whose = "body" if any(name.startswith("head_") for name in columns) else "camera"
         groups["Gyro"] = [
-            Panel(f"Bias about the camera's {axis}", "", _compared(f"bias_{axis}_deg_h", "bias [°/h]", columns))
+            Panel(f"Bias about the {whose}'s {axis}", "", draw_compared(f"bias_{axis}_deg_h", "bias [°/h]", columns))
+            for axis in "xyz"
+        ]
+    if "true_scale_x_ppm" in columns:
+        groups["Gyro"] += [
+            Panel(f"Scale factor, {axis}", "", draw_compared(f"scale_{axis}_ppm", "error [ppm]", columns))
             for axis in "xyz"
         ]
     return groups
@@ -90,7 +99,7 @@ def draw_modes(ax: Axes, columns: Columns) -> None:
     ax.set_yticks(range(len(shown)), [MODE_TITLES[m] for m in shown])
     ax.set_ylim(len(shown) - 0.4, -0.6)
     ax.grid(visible=False, axis="y")
-    _time(ax, columns)
+    time_axis(ax, columns)
 
 
 def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
@@ -109,7 +118,7 @@ def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
     _robust_limits(ax, error, 3.0 * sigma, columns.get(f"single_error_{axis}_deg"))
     ax.set_ylabel("error [″]")
     ax.legend(loc="upper right", ncols=2, framealpha=0.8)
-    _time(ax, columns)
+    time_axis(ax, columns)
 
 
 def _error_panel(axis: str, columns: Columns) -> Panel:
@@ -142,7 +151,7 @@ def _stars(ax: Axes, columns: Columns) -> None:
     )
     ax.set_ylim(bottom=0, top=1.45 * max(1, int(columns["stars_in_field"].max()), int(expected.max())))
     ax.legend(loc="upper right", ncols=3)
-    _time(ax, columns)
+    time_axis(ax, columns)
 
 
 def _nees(ax: Axes, columns: Columns) -> None:
@@ -155,7 +164,7 @@ def _nees(ax: Axes, columns: Columns) -> None:
     ax.set_ylim(0.0, 1.35 * max(limit, float(finite.max(initial=0.0))))
     ax.set_ylabel("NEES")
     ax.legend(loc="upper right", ncols=3)
-    _time(ax, columns)
+    time_axis(ax, columns)
 
 
 def _attitude_drawer(key: str, columns: Columns) -> Callable[[Axes], None]:
@@ -178,12 +187,12 @@ def _attitude_drawer(key: str, columns: Columns) -> Callable[[Axes], None]:
         ax.ticklabel_format(useOffset=False)
         ax.margins(y=0.15)
         ax.legend(loc="best")
-        _time(ax, columns)
+        time_axis(ax, columns)
 
     return draw
 
 
-def _compared(key: str, label: str, columns: Columns) -> Callable[[Axes], None]:
+def draw_compared(key: str, label: str, columns: Columns) -> Callable[[Axes], None]:
     """True and estimated value with ±3σ."""
 
     def draw(ax: Axes) -> None:
@@ -203,7 +212,7 @@ def _compared(key: str, label: str, columns: Columns) -> Callable[[Axes], None]:
         ax.set_ylabel(label)
         ax.ticklabel_format(useOffset=False)
         ax.legend(loc="upper right", ncols=3)
-        _time(ax, columns)
+        time_axis(ax, columns)
 
     return draw
 
@@ -214,7 +223,8 @@ def _most(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.percentile(finite, [3.0, 97.0])) if len(finite) else finite
 
 
-def _time(ax: Axes, columns: Columns) -> None:
+def time_axis(ax: Axes, columns: Columns) -> None:
+    """Limits and label of the axis of time."""
     t, step = columns["elapsed_s"], _step(columns)
     ax.set_xlim(float(t[0]) - step / 2.0, float(t[-1]) + step / 2.0)
     ax.set_xlabel("time [s]")

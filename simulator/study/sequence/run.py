@@ -6,19 +6,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from simulator.mission.spice import need_spiceypy
 from simulator.scenario import Scenario
 from simulator.study.data_frames import Rows
 from simulator.study.result_files import json_text, now_utc, parquet_bytes, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
-from simulator.study.sequence.messages import sequence_messages
+from simulator.study.sequence.heads import HeadsRunner
+from simulator.study.sequence.heads_statistics import fused_nees, summarise_heads
+from simulator.study.sequence.messages import sequence_kernels, sequence_messages, state_columns
 from simulator.study.sequence.operation import summarise_operation
 from simulator.study.sequence.statistics import summarise_sequence
 from simulator.study.specification.measured import judge_frames
@@ -28,13 +31,21 @@ from simulator.study.trials.arrow import as_array, table_of
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
 from startracker.display import described
-from startracker.errors import BoresightError
+from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
 
 __all__ = ["Sequence", "run_sequence"]
 
 Progress = Callable[[int, int], None]
 """Called with (frames finished, total frames)."""
+
+
+class _Others(NamedTuple):
+    """Files for other programs."""
+
+    ccsds: bool
+    spice: bool
+
 
 _FLUSH_FRAMES = 500
 """Rows are stored as columns in chunks of this size, to limit memory."""
@@ -84,6 +95,7 @@ def run_sequence(
     single: bool = False,
     animate: bool = False,
     ccsds: bool = False,
+    spice: bool = False,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Sequence:
@@ -95,7 +107,7 @@ def run_sequence(
         The scenario, with its ``sequence`` section.
     out : path, optional
         Folder for ``sequence.parquet``, ``sequence.json``, ``sequence.html``, ``scenario.resolved.yaml`` and, with
-        `animate`, ``sequence.gif`` and, if ffmpeg is installed, ``sequence.mp4``; with `ccsds` the files of
+        `animate`, ``sequence.gif`` and, if ffmpeg is installed, ``sequence.mp4``; with `ccsds` and `spice` the files of
         `simulator.study.sequence.messages`; None: nothing is written.
     single : bool
         Also solve every frame on its own, for comparison.
@@ -103,6 +115,8 @@ def run_sequence(
         Create the animation.
     ccsds : bool
         Write trajectory and attitudes as messages of CCSDS.
+    spice : bool
+        Write trajectory and attitudes as kernels of SPICE; needs the extra ``spice``.
     force : bool
         Replace any results in `out`.
     progress : callable, optional
@@ -121,11 +135,14 @@ def run_sequence(
     Ctrl-C ends the sequence after the current frame; results and files contain the frames so far, and the summary has
     ``interrupted``.
     """
+    others = _Others(ccsds, spice)
     if out is None:
-        return _run(scenario, None, single, animate, False, progress)
+        return _run(scenario, None, single, animate, others, progress)
+    if spice:
+        need_spiceypy()
     with results_folder(Path(out), _identity(scenario, single, scenario.sequence.frames), force=force) as folder:
         old = None if force else standing(folder, "sequence")
-        return _run(scenario, folder, single, animate, ccsds, progress, old.amounts["frames"] if old else 0)
+        return _run(scenario, folder, single, animate, others, progress, old.amounts["frames"] if old else 0)
 
 
 def _identity(scenario: Scenario, single: bool, frames: int) -> Identity:
@@ -140,12 +157,14 @@ def _run(
     folder: Path | None,
     single: bool,
     animate: bool,
-    ccsds: bool,
+    others: _Others,
     progress: Progress | None,
     frames_standing: int = 0,
 ) -> Sequence:
     requested = scenario.sequence.frames
-    runner = SequenceRunner(scenario, single=single)
+    if single and scenario.heads:
+        raise InputError("single: the heads are solved frame by frame; omit --single")
+    runner = HeadsRunner(scenario) if scenario.heads else SequenceRunner(scenario, single=single)
     started = clock()
     pieces: list[pa.Table] = []
     rows: list[dict[str, Any]] = []
@@ -175,6 +194,8 @@ def _run(
         pieces.append(table_of(rows))
     elapsed_s = clock() - started
     table = pa.concat_tables(pieces)
+    for name, column in state_columns(scenario, table["t_s"].to_numpy()).items():
+        table = table.append_column(name, pa.array(column))
     sequence = Sequence(scenario, table, {}, folder)
     columns = sequence.columns
     sequence.summary.update(
@@ -190,14 +211,18 @@ def _run(
         elapsed_s=elapsed_s,
         median_ms={name: median(columns[f"{name}_ms"]) for name in ("render", "track")},
     )
+    if scenario.heads:
+        sequence.summary.update(heads=summarise_heads(columns, scenario), nees=fused_nees(columns))
     if runner.operated is not None:
         sequence.summary["operation"] = summarise_operation(runner.operated, columns, scenario.sequence.step_s)
+    if runner.calibrated is not None:
+        sequence.summary["in_flight_calibration"] = runner.calibrated.summarise(columns)
     if folder is None:
         return sequence
-    return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views, ccsds))
+    return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views, others))
 
 
-def _write(sequence: Sequence, folder: Path, views: list[FrameView], ccsds: bool) -> tuple[str, ...]:
+def _write(sequence: Sequence, folder: Path, views: list[FrameView], others: _Others) -> tuple[str, ...]:
     """Write the result files atomically."""
     from simulator.study.sequence.page import sequence_html
 
@@ -213,7 +238,9 @@ def _write(sequence: Sequence, folder: Path, views: list[FrameView], ccsds: bool
         program = find_ffmpeg()
         if program is not None:
             files["sequence.mp4"] = mp4_bytes(views, sequence.columns, sequence.scenario.name, program)
-    if ccsds:
+    if others.ccsds:
         files |= sequence_messages(sequence.scenario, sequence.columns, sequence.summary["finished_utc"])
+    if others.spice:
+        files |= sequence_kernels(sequence.scenario, sequence.columns)
     write_files(folder, files)
     return tuple(files)

@@ -61,6 +61,10 @@ def summarise_sequence(columns: Columns, step_s: float, judgement: Judgement) ->
         summary["bias_error_deg_h"] = {
             axis: _finite(columns[f"bias_{axis}_deg_h"][-1] - columns[f"true_bias_{axis}_deg_h"][-1]) for axis in "xyz"
         }
+    if "true_scale_x_ppm" in columns:
+        summary["scale_error_ppm"] = {
+            axis: _finite(columns[f"scale_{axis}_ppm"][-1] - columns[f"true_scale_{axis}_ppm"][-1]) for axis in "xyz"
+        }
     if "single_status" in columns:
         alone = np.asarray(columns["single_status"] == "solved", dtype=bool)
         both = alone & solved
@@ -85,17 +89,17 @@ def longest_run(mask: NDArray[np.bool_]) -> int:
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-def nees_test(nees: FloatArray) -> dict[str, Any]:
+def nees_test(nees: FloatArray, independent: float | None = None) -> dict[str, Any]:
     """Mean of the normalised estimation error squared and its 95 % bounds.
 
     e P⁻¹ e of a consistent filter is χ² of 3 degrees of freedom; the mean of N independent ones is χ²(3 N)/N
     (Bar-Shalom, Li & Kirubarajan 2001, *Estimation with Applications to Tracking and Navigation*, section 5.4).
-    Successive errors of a filter are correlated; N is the effective number.
+    Successive errors of a filter are correlated; N is the effective number, `independent` if it is given.
     """
     nees = nees[np.isfinite(nees)]
     if not len(nees):
         return {"mean": None, "effective_frames": 0.0, "bounds95": None, "within": None}
-    n = effective_number(nees)
+    n = effective_number(nees) if independent is None else independent
     low, high = (float(chdtri(3 * n, p)) / n for p in (0.975, 0.025))
     mean = float(nees.mean())
     return {"mean": mean, "effective_frames": n, "bounds95": [low, high], "within": low <= mean <= high}

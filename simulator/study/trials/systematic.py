@@ -28,7 +28,7 @@ def systematic_turn_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) 
     stars : (N,) int array
         Rows of the true sources that the tracker used.
     """
-    plane, sources = renderer.focal_plane, truth.sources
+    plane, sources = renderer.focal_plane.at(truth.t_s), truth.sources
     turn = -truth.rate_camera_rad_s * truth.time_tag_error_s
     if (plane.true_camera is not plane.camera or not plane.displacement.is_off) and len(stars) > 1:
         directions = truth.attitude.apply(sources.direction[stars])

@@ -66,11 +66,29 @@ def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
     return tracker.solve(frame)
 
 
-def attitude_errors_deg(truth: Attitude, estimate: Attitude, mounting: Attitude) -> dict[str, float]:
-    """Rotation vector from the true to the estimated attitude, in camera axes and in body axes, degrees."""
+def attitude_errors_deg(
+    truth: Attitude, estimate: Attitude, mounting: Attitude, mounting_rotation_rad: FloatArray | None = None
+) -> dict[str, float]:
+    """Rotation vector from the true to the estimated attitude of the camera in camera axes, and of the body in body
+    axes, degrees.
+
+    The attitude of the body is estimated with the nominal mounting: a rotation of the true `mounting` from it, in
+    camera axes, is an error of the body's attitude alone.
+    """
     camera = np.degrees(truth.rotation_vector_to(estimate))
     body = camera @ mounting.as_matrix()  # to body axes
+    if mounting_rotation_rad is not None:
+        turn = Attitude.from_rotation_vector(mounting_rotation_rad, "camera", "camera")
+        nominal = turn.inverse @ mounting
+        body = np.degrees((turn.inverse @ truth).rotation_vector_to(estimate)) @ nominal.as_matrix()
     return dict(zip(_ERRORS, camera.tolist() + body.tolist(), strict=True))
+
+
+def mounting_columns(rotation_rad: FloatArray | None) -> dict[str, float]:
+    """Columns of the thermo-elastic rotation of the mounting; none without one."""
+    if rotation_rad is None:
+        return {}
+    return {f"mounting_{axis}_deg": math.degrees(value) for axis, value in zip("xyz", rotation_rad, strict=True)}
 
 
 def misidentified(truth: FrameTruth, solution: Solution) -> int:
@@ -85,11 +103,15 @@ def misidentified(truth: FrameTruth, solution: Solution) -> int:
     return len(stars.xy) - len(set(known.tolist()))
 
 
-def in_field(camera: Camera, sources: TrueSources, limit: float) -> tuple[int, int]:
-    """Numbers of stars down to a magnitude, and of bodies, in the image."""
+def in_field(camera: Camera, sources: TrueSources, limit: float) -> dict[str, int]:
+    """Columns of the numbers of stars down to a magnitude, of bodies and of satellites in the image."""
     inside = camera.contains(sources.xy)
-    star = inside & sources.is_star
-    return int((star & (sources.v_mag <= limit)).sum()), int(inside.sum() - star.sum())
+    star, satellite = inside & sources.is_star, inside & (sources.kind == "satellite")
+    return {
+        "stars_in_field": int((star & (sources.v_mag <= limit)).sum()),
+        "bodies_in_field": int(inside.sum() - star.sum() - satellite.sum()),
+        "satellites_in_field": int(satellite.sum()),
+    }
 
 
 def normalised_error_squared(error_deg: FloatArray, covariance_rad2: FloatArray | None) -> float:
@@ -156,11 +178,12 @@ class TrialRunner:
             "temperature_c": scenario.detector.temperature_c,
             "particles_cm2_s": truth.particles_cm2_s,
         }
+        row |= mounting_columns(truth.mounting_rotation_rad)
         errors = dict.fromkeys(_ERRORS, math.nan)
         sigma, estimate = [math.nan] * 3, [math.nan] * 4
         pointing = (math.nan, math.nan, math.nan)
         if solution.attitude is not None:
-            errors = attitude_errors_deg(true, solution.attitude, truth.mounting)
+            errors = attitude_errors_deg(true, solution.attitude, truth.mounting, truth.mounting_rotation_rad)
             row["beyond_specification"] = beyond_specification(errors, self.specification)
             estimate = solution.attitude.quat.tolist()
             pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
@@ -180,11 +203,9 @@ class TrialRunner:
         explained = explained_deg(self.renderer, truth, matched, bound_deg)
         row["wrong"] = is_wrong(wrong_stars, row["nees"], error_deg, explained)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
-        stars, bodies = in_field(frame.camera, sources, scenario.tracker.magnitude_limit)
         residuals = fitted.residual_px.ravel()
+        row |= in_field(frame.camera, sources, scenario.tracker.magnitude_limit)
         row |= {
-            "stars_in_field": stars,
-            "bodies_in_field": bodies,
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
             "stars_used": len(fitted),

@@ -1,0 +1,30 @@
+"""Jitter as a time series, from a table in CSV or Parquet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from simulator.mission.clock import Clock
+from simulator.mission.tables import read_rows
+from simulator.optics.jitter import Jitter
+from simulator.optics.jitter_series import JitterSeries
+from startracker.constants import ARCSEC_RAD
+
+__all__ = ["read_jitter"]
+
+COLUMNS = ("x_arcsec", "y_arcsec", "z_arcsec")
+
+
+def read_jitter(parameters: Jitter, clock: Clock, folder: Path = Path()) -> JitterSeries | None:
+    """Series of a section; None without one.
+
+    Raises
+    ------
+    InputError
+        With file and line, as for `simulator.mission.tables.read_rows`.
+    """
+    if parameters.series is None:
+        return None
+    path = folder / parameters.series
+    t_s, angles_arcsec, _ = read_rows(path, clock, COLUMNS)
+    return JitterSeries(t_s, angles_arcsec * ARCSEC_RAD, str(path))

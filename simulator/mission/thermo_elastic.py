@@ -1,0 +1,47 @@
+"""Thermo-elastic motion of a camera's mounting around the orbit.
+
+The structure between camera and body is heated and cooled once an orbit. To first order its deformation follows the
+first harmonic of the orbit angle u, with an amplitude A and a phase φ, the lag of the structure, about each axis:
+
+    θ(u) = A cos(u − φ)
+
+Amplitudes and phases come from the thermal analysis of a spacecraft; there are no values that hold in general.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.mission.parameters import ThermoElastic
+from startracker.constants import ARCSEC_RAD
+
+__all__ = ["angle_from_noon_rad", "mounting_rotation_rad"]
+
+FloatArray = NDArray[np.float64]
+
+
+def angle_from_noon_rad(r_km: FloatArray, v_km_s: FloatArray, sun_direction: FloatArray) -> float:
+    """Angle along the orbit from the point that is nearest to the Sun, radians in (−π, π].
+
+    The middle of the eclipse is at π. Where the Sun is along the normal of the orbit, no point is nearest, and the
+    angle is arbitrary.
+
+    Parameters
+    ----------
+    r_km, v_km_s : array, shape (3,)
+        State relative to the centre of the orbit.
+    sun_direction : array, shape (3,)
+        Towards the Sun, of the same axes.
+    """
+    normal = np.cross(r_km, v_km_s)
+    normal = normal / np.linalg.norm(normal)
+    return math.atan2(float(np.cross(sun_direction, r_km) @ normal), float(sun_direction @ r_km))
+
+
+def mounting_rotation_rad(parameters: ThermoElastic, angle_rad: float) -> FloatArray:
+    """Rotation vector (3,) of the camera from its nominal orientation, camera axes, at an orbit angle."""
+    amplitude = np.array(parameters.amplitude_arcsec) * ARCSEC_RAD
+    return np.asarray(amplitude * np.cos(angle_rad - np.radians(parameters.phase_deg)))

@@ -1,0 +1,38 @@
+"""Columns of Parquet files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from startracker.errors import InputError
+
+__all__ = ["read_parquet"]
+
+
+def read_parquet(path: Path) -> dict[str, list[Any]]:
+    """Values of all columns by name; dates as text in UTC, ISO 8601.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or is no Parquet table.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        reason = getattr(error, "strerror", None)
+        what = f"cannot be read ({reason})" if reason else "is no Parquet table, or is truncated"
+        raise InputError(f"{path}: {what}") from error
+    return {name: _values(column) for name, column in zip(table.column_names, table.columns, strict=True)}
+
+
+def _values(column: Any) -> list[Any]:
+    import pyarrow as pa
+
+    if not pa.types.is_timestamp(column.type):
+        return list(column.to_pylist())
+    return [str(value) for value in column.cast(pa.timestamp("ns")).to_numpy()]

@@ -1,0 +1,99 @@
+"""Scenarios of the heads: the scenario itself, with the keys that a head overrides."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from simulator.scenario.document import show_value
+from simulator.scenario.errors import Violation, impossible
+from simulator.scenario.fields import Key, all_keys, check_value
+from simulator.scenario.schema_heads import OVERRIDDEN, HeadSection
+
+if TYPE_CHECKING:
+    from simulator.scenario.load import Scenario
+
+__all__ = ["contradictions", "head_values", "scenario_of_head", "values_of_heads"]
+
+
+def scenario_of_head(scenario: Scenario, head: HeadSection) -> Scenario:
+    """The scenario of one head alone: its mounting and its values of lens, detector and tracker, and no heads."""
+    return scenario.changed(head_values(head) | {"pointing.mounting": head.mounting, "heads": ()})
+
+
+def head_values(head: HeadSection) -> dict[str, Any]:
+    """Values that a head overrides, by dotted path."""
+    values: dict[str, Any] = {}
+
+    def walk(prefix: str, given: Mapping[str, Any]) -> None:
+        for name, value in given.items():
+            if isinstance(value, Mapping):
+                walk(f"{prefix}.{name}", value)
+            else:
+                values[f"{prefix}.{name}"] = value
+
+    for section in OVERRIDDEN:
+        walk(section, getattr(head, section) or {})
+    return values
+
+
+def values_of_heads(path: str, v: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """For each head that gives a key its own value: the path at which it does, and the values of its scenario."""
+    for k, head in enumerate(v.get("heads", ())):
+        values = _checked(head)[0]
+        if path in values:
+            yield f"heads[{k}].{path}", {**v, **values}
+        elif path == "pointing.mounting":
+            yield f"heads[{k}].mounting", {**v, path: head.mounting}
+
+
+def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """Violated rules of the ``heads`` section, and invalid values that heads override."""
+    heads: tuple[HeadSection, ...] = v["heads"]
+    if not heads:
+        return
+    from simulator.scenario.physics import violations  # which has these rules among its own
+
+    names = [head.name for head in heads]
+    alone = {**v, "heads": ()}
+    common = set(violations(alone))
+    step_s = v["sequence.step_s"]
+    for k, head in enumerate(heads):
+        if head.name in names[:k]:
+            yield impossible(f"heads[{k}].name", f"'{head.name}' is the name of another head; each needs its own")
+        if head.time_offset_s >= step_s:
+            message = f"{head.time_offset_s:g} s is not within the sequence's step of {step_s:g} s"
+            yield impossible(f"heads[{k}].time_offset_s", message)
+        if not isinstance(head.mounting, str) and not any(head.mounting):
+            yield impossible(f"heads[{k}].mounting", "the quaternion is zero; the identity is [0, 0, 0, 1]")
+        values, problems = _checked(head)
+        for path, message in problems:
+            yield impossible(f"heads[{k}].{path}", message)
+        for violation in violations(alone | values):
+            if violation not in common and violation.key.startswith(OVERRIDDEN):
+                yield violation._replace(key=f"heads[{k}].{violation.key}")
+    for key in ("sequence.operation.use", "tracker.in_flight_calibration.use"):
+        if v[key]:
+            yield impossible(key, "is not available with heads; set it to false, or remove heads")
+
+
+def _checked(head: HeadSection) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+    """Valid overridden values as the schema converts them, and (path, message) of the others."""
+    keys: dict[str, Key] = {key.path: key for key in all_keys()}
+    values: dict[str, Any] = {}
+    problems = []
+    for path, given in head_values(head).items():
+        key = keys.get(path)
+        if key is None:
+            close = difflib.get_close_matches(path, keys, n=1)
+            problems.append((path, "unknown key" + (f"; did you mean '{close[0]}'?" if close else "")))
+        elif key.section:
+            problems.append((path, f"must be a section with keys, not {show_value(given)}"))
+        else:
+            value, message = check_value(key, given)
+            if message:
+                problems.append((path, message))
+            else:
+                values[path] = value
+    return values, problems

@@ -1,0 +1,78 @@
+"""Contradictions within a scenario's ``pointing`` section."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from simulator.mission.clock import Clock
+from simulator.mission.parameters import ATTITUDE_FILES, FILES, Waypoints
+from simulator.mission.slews import build_slews
+from simulator.scenario.errors import Violation, impossible
+from startracker.errors import InputError
+
+
+def attitude_files(v: Mapping[str, Any]) -> list[str]:
+    """Keys of the files that define the attitude."""
+    return [f"pointing.attitude.{key}" for key in ATTITUDE_FILES if v[f"pointing.attitude.{key}"] is not None]
+
+
+def attitude_ends(v: Mapping[str, Any]) -> bool:
+    """Whether the attitude is defined over a limited span: by a file, a spline, or a spacecraft on an orbit from a
+    file."""
+    spline = bool(v["pointing.waypoints.points"]) and v["pointing.waypoints.profile"] == "spline"
+    followed = v["pointing.track.target"] == "spacecraft"
+    other = followed and any(v[f"pointing.track.spacecraft.{key}"] is not None for key in FILES)
+    return bool(attitude_files(v)) or spline or other
+
+
+def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """Violated rules of the ``pointing`` section."""
+    mounting = v["pointing.mounting"]
+    if not isinstance(mounting, str) and math.hypot(*mounting) < 1e-6:
+        yield impossible(
+            "pointing.mounting", "a quaternion of zeros is not a rotation; use [0, 0, 0, 1] for no rotation"
+        )
+    if v["pointing.jitter.psd"] == "table" and v["pointing.jitter.table"] is None:
+        yield impossible("pointing.jitter.table", "psd: table needs a CSV file (frequency_hz, psd)")
+    if v["pointing.jitter.series"] is not None and any(v["pointing.jitter.rms_arcsec"]):
+        message = (
+            "the jitter is already defined by pointing.jitter.series, which has angles; set one of them to 0 or null"
+        )
+        yield impossible("pointing.jitter.rms_arcsec", message)
+    yield from _laws(v)
+    yield from _waypoints(v)
+
+
+def _laws(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """One definition of the attitude."""
+    if v["pointing.spin.rate_deg_s"] and v["pointing.target"] is not None:
+        yield impossible(
+            "pointing.spin.rate_deg_s", "a freely spinning body cannot hold a pointing.target; remove one of them"
+        )
+        return
+    given = ["pointing.target"] * (v["pointing.target"] is not None)
+    given += ["pointing.spin.rate_deg_s"] * (v["pointing.spin.rate_deg_s"] != 0.0) + attitude_files(v)
+    given += ["pointing.waypoints.points"] * bool(v["pointing.waypoints.points"])
+    given += ["pointing.track.target"] * (v["pointing.track.target"] is not None)
+    if len(given) > 1:
+        yield impossible(given[1], f"the attitude is already defined by {given[0]}; set one of them to null")
+
+
+def _waypoints(v: Mapping[str, Any]) -> Iterator[Violation]:
+    """Points and limits of slews, by the law that is built of them."""
+    points = v["pointing.waypoints.points"]
+    limits = Waypoints(
+        points,
+        v["pointing.waypoints.profile"],
+        v["pointing.waypoints.max_rate_deg_s"],
+        v["pointing.waypoints.acceleration_deg_s2"],
+    )
+    try:
+        if points:
+            build_slews(limits, Clock(v["epoch"]), np.array([0.0, 0.0, 0.0, 1.0]))
+    except InputError as error:
+        yield impossible("pointing.waypoints.points", str(error).removeprefix("pointing.waypoints: "))

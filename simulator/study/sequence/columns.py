@@ -1,0 +1,67 @@
+"""Columns of an attitude and of its errors, as in ``sequence.parquet``."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES
+from simulator.study.trials.trial import attitude_errors_deg
+from startracker.attitude import Attitude
+
+__all__ = ["NO_FRAME", "attitude_columns", "camera_error_deg", "error_columns"]
+
+FloatArray = NDArray[np.float64]
+
+NO_FRAME = "no_frame"
+"""Status of a missing frame."""
+
+
+def attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
+    """Direction and quaternion of an attitude; NaN for None."""
+    values = [math.nan] * 7
+    if attitude is not None:
+        values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *(float(v) for v in attitude.quat)]
+    names = ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")
+    return dict(zip((f"{prefix}{name}" for name in names), values, strict=True))
+
+
+def error_columns(
+    true: Attitude,
+    estimate: Attitude | None,
+    covariance: FloatArray | None,
+    mounting: Attitude,
+    rotation_rad: FloatArray | None = None,
+) -> dict[str, float]:
+    """Errors about body and camera axes with their standard deviations, and the NEES; NaN without an estimate.
+
+    Parameters
+    ----------
+    true, estimate : Attitude
+        ICRS to camera.
+    covariance : array, shape (3, 3)
+        Of the error of the estimate, camera axes, rad².
+    mounting : Attitude
+        Body to camera.
+    rotation_rad : array, shape (3,), optional
+        Thermo-elastic rotation that is contained in `true` and `mounting`.
+    """
+    axes = (*BODY_AXES, *CAMERA_AXES)
+    errors, sigma, nees = dict.fromkeys(axes, math.nan), np.full(6, math.nan), math.nan
+    if estimate is not None and covariance is not None:
+        errors = attitude_errors_deg(true, estimate, mounting, rotation_rad)
+        to_body = mounting.inverse.as_matrix()
+        sigma = np.degrees(np.sqrt([*np.diag(to_body @ covariance @ to_body.T), *np.diag(covariance)]))
+        vector = true.rotation_vector_to(estimate)
+        nees = float(vector @ np.linalg.solve(covariance, vector))
+    columns = {f"error_{axis}_deg": errors[axis] for axis in axes}
+    columns |= {f"sigma_{axis}_deg": float(value) for axis, value in zip(axes, sigma, strict=True)}
+    return columns | {"nees": nees}
+
+
+def camera_error_deg(row: dict[str, Any]) -> FloatArray:
+    """Error about the camera's axes (3,), degrees, of a row."""
+    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])

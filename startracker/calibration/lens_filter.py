@@ -1,0 +1,311 @@
+"""Recursive estimate of the lens from the stars of successive frames: a Kalman filter in information form.
+
+The parameters p of the lens (`startracker.lens.PARAMETERS`) are random walks with the drift q (per √s). The stars of a
+frame are measured at x = h(p, θ) + e; the attitude θ of the frame, and the rate of a rolling shutter, are unknown and
+marginalised: with the Jacobians H of p and B of θ, weights W and residuals r, the frame contributes
+
+    I = Hᵀ W H − Hᵀ W B (Bᵀ W B)⁻¹ Bᵀ W H   (information)
+    b = Hᵀ W r − Hᵀ W B (Bᵀ W B)⁻¹ Bᵀ W r
+
+and with the predicted covariance P the updated one is (P⁻¹ + I)⁻¹, the correction (P⁻¹ + I)⁻¹ b. Attitudes of a filter
+are not used: they contain the errors of the lens of earlier frames.
+
+A shift of the principal point is, to first order, a rotation of the camera: only terms of x² distinguish them, with the
+tangent x of the angle from the axis. Its error is therefore about x⁻² times that of an attitude from the same stars.
+
+Stars whose errors are constant have a smaller weight, and their effect on the estimate is part of its covariance
+(`startracker.calibration.star_memory`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from startracker.calibration.identified_stars import IdentifiedStars
+from startracker.calibration.lens_equations import LensEquations, lens_equations
+from startracker.calibration.star_memory import StarMemory
+from startracker.camera import Camera
+from startracker.display import described, fields_repr
+from startracker.errors import InputError
+from startracker.lens import PARAMETERS, change_lens, corner_radius, is_one_to_one, value_of
+from startracker.settings import InFlightSettings
+
+__all__ = ["LensFilter", "LensUpdate", "drifts", "initial_sigmas"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+_FEWEST_STARS = 4
+_REJECT_SIGMAS = 3.7
+"""Residual of a star, in standard errors, above which it is not used; exceeded with probability 1e-3."""
+_RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
+_MISFIT = 1e-3
+"""Probability of the χ² of a frame's residuals below which its stated errors are increased for this frame."""
+_MEMORY = 2000.0
+"""Approximate degrees of freedom over which the ratio of actual to stated errors is averaged: it is known to 1.6 %."""
+_RESET_AFTER = 5
+"""Successive frames beyond the gate after which the lens, not the frames, is taken to be wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensUpdate:
+    """Result of one frame for the lens."""
+
+    accepted: bool
+    """Whether the frame was used."""
+    reason: str
+    """Why not; empty if it was."""
+    used: BoolArray
+    """Stars (M,) whose residuals fit."""
+    distance2: float = math.nan
+    """Squared distance of the frame's estimate of the lens from the predicted one, in units of their covariance."""
+    freedom: int = 0
+    """Its degrees of freedom: χ² of as many for a correct filter, and less for stars that are seen repeatedly, which
+    have a smaller weight than their errors in one frame."""
+    noise_factor: float = 1.0
+    """Factor by which the stated errors of the stars were multiplied."""
+    attitude_covariance: FloatArray | None = None
+    """Covariance (3, 3) of the frame's attitude by the uncertainty of the lens before the frame, camera axes, rad²."""
+
+    __repr__ = fields_repr
+
+
+def initial_sigmas(settings: InFlightSettings, camera: Camera) -> FloatArray:
+    """Initial standard deviation of each parameter (P,), in the units of `startracker.lens.PARAMETERS`."""
+    parts = settings.focal_length_ppm, settings.principal_point_px, settings.distortion_px
+    return _in_lens_units(settings.parameters, camera, *parts)
+
+
+def drifts(settings: InFlightSettings, camera: Camera) -> FloatArray:
+    """Drift of each parameter (P,) per √s."""
+    parts = (
+        settings.focal_length_drift_ppm_sqrt_h,
+        settings.principal_point_drift_px_sqrt_h,
+        settings.distortion_drift_px_sqrt_h,
+    )
+    return _in_lens_units(settings.parameters, camera, *parts) / 60.0
+
+
+def _in_lens_units(
+    names: tuple[str, ...], camera: Camera, focal_ppm: float, centre_px: float, corner_px: float
+) -> FloatArray:
+    radius, focal_px = corner_radius(camera), 1.0 / camera.pixel_rad
+    out = np.empty(len(names))
+    for i, name in enumerate(names):
+        if name in ("f", "aspect"):
+            out[i] = 1e-6 * focal_ppm
+        elif name in ("cx", "cy"):
+            out[i] = centre_px
+        else:
+            power = 2 if name[0] == "p" else 2 * int(name[1:]) + 1
+            out[i] = corner_px / (focal_px * radius**power)
+    return out
+
+
+class LensFilter:
+    """The filter of the lens.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera as calibrated on the ground.
+    settings : InFlightSettings
+        Parameters, their initial standard deviations and drifts, and the gate.
+
+    Raises
+    ------
+    InputError
+        For a parameter that the camera's projection does not have.
+
+    Notes
+    -----
+    Valid for small changes: the model is linearised about the current camera, and an error of 1 px of the predicted
+    positions changes the derivatives by less than 1 px over the focal length in pixels.
+    """
+
+    def __init__(self, camera: Camera, settings: InFlightSettings | None = None) -> None:
+        self.settings = settings or InFlightSettings()
+        names = self.settings.parameters
+        kind = "pinhole" if camera.projection == "pinhole" else "fisheye"
+        missing = [name for name in names if name not in PARAMETERS[kind]]
+        if camera.projection == "equidistant":  # a fisheye without coefficients
+            missing = [name for name in names if name[0] in "kp"]
+        lens = camera.distortion
+        if camera.projection == "equisolid" or (kind == "pinhole" and (lens.k4 or lens.k5 or lens.k6)):
+            raise InputError("calibration in flight: equisolid projections and rational distortion are not supported")
+        if missing or not names:
+            raise InputError(
+                f"calibration in flight: the projection {camera.projection} has no parameter "
+                f"{', '.join(missing) or 'to estimate'}; it has {', '.join(PARAMETERS[kind])}"
+            )
+        self.ground, self.camera, self.names = camera, camera, names
+        self.initial_sigma, self.drift = initial_sigmas(self.settings, camera), drifts(self.settings, camera)
+        self.filtered: FloatArray = np.diag(self.initial_sigma**2)
+        """Covariance (P, P) that determines the gain of the filter."""
+        self.random: FloatArray = self.filtered.copy()
+        """Covariance (P, P) of the estimate without the constant errors of stars."""
+        self.stars = StarMemory(len(names), self.settings.star_error_px * camera.pixel_rad)
+        """Stars seen so far, and the effect of their constant errors."""
+        self.frames, self.restarts = 0, 0
+        """Numbers of frames used, and of restarts after frames beyond the gate."""
+        self._beyond = 0
+        self._chi2 = self._freedom = 0.0
+
+    def __repr__(self) -> str:
+        sigma = zip(self.names, self.sigma, strict=True)
+        stated = " ".join(f"{name} {value:+.3g}±{s:.2g}" for (name, s), value in zip(sigma, self.change, strict=True))
+        return described("LensFilter", f"{self.frames} frames", stated)
+
+    @property
+    def change(self) -> FloatArray:
+        """Change (P,) of the parameters since the calibration on the ground."""
+        return np.array([value_of(name, self.camera) - value_of(name, self.ground) for name in self.names])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (P, P) of the parameters, with the constant errors of stars."""
+        return self.random + self.stars.covariance
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviation (P,) of each parameter."""
+        return np.sqrt(self.covariance.diagonal())
+
+    @property
+    def noise_factor(self) -> float:
+        """Ratio of the actual to the stated errors of the stars, at least 1."""
+        return math.sqrt(max(self._chi2 / self._freedom, 1.0)) if self._freedom > 0.0 else 1.0
+
+    @property
+    def response_per_s(self) -> FloatArray:
+        """Matrix (P, P) R of the steady filter: after a step of the lens its error decays as exp(−R t).
+
+        In the steady state P J P = Q, with the information J per second, and the error decays with P J = Q P⁻¹, which
+        needs no J (the stationary Riccati equation; Kalman & Bucy 1961, J. Basic Engineering 83, 95). Before the steady
+        state the filter is faster.
+        """
+        return np.asarray(np.diag(self.drift**2) @ np.linalg.inv(self.filtered))
+
+    @property
+    def time_constant_s(self) -> FloatArray:
+        """Time (P,) in which the steady filter follows a step of each parameter to 1 − 1/e; infinite without drift."""
+        rate = self.response_per_s.diagonal()
+        return np.where(rate > 0.0, 1.0 / np.where(rate > 0.0, rate, 1.0), np.inf)
+
+    def predict(self, dt_s: float) -> None:
+        """Let the parameters drift for `dt_s` seconds."""
+        if not dt_s >= 0.0:
+            raise InputError(f"the lens drifts forward in time; got a step of {dt_s} s")
+        self._widen(self.drift**2 * dt_s)
+
+    def _widen(self, variances: FloatArray) -> None:
+        """Add variances (P,) to the parameters."""
+        self.filtered = self.filtered + np.diag(variances)
+        self.random = self.random + np.diag(variances)
+
+    def update(self, matrix: FloatArray, stars: IdentifiedStars) -> LensUpdate:
+        """Update with the stars of a frame.
+
+        Parameters
+        ----------
+        matrix : array, shape (3, 3)
+            Approximate attitude, ICRS to camera; the frame's own is fitted.
+        stars : IdentifiedStars
+            The stars.
+        """
+        if len(stars) < _FEWEST_STARS:
+            return LensUpdate(False, f"fewer than {_FEWEST_STARS} stars", np.zeros(len(stars), np.bool_))
+        rows = self.stars.rows(stars.catalog_id)
+        used, frame = self._fitting(matrix, stars, self.stars.trusted(rows), self._effective_px(stars, rows))
+        if frame is None:
+            return LensUpdate(False, "the residuals of too many stars do not fit", used)
+        chosen = stars.select(used)
+        chi2, freedom = self._misfit(chosen, frame)
+        most = self.noise_factor**2 * float(chdtri(freedom, _MISFIT))
+        factor = math.sqrt(chi2 / freedom) / self.noise_factor if chi2 > most else 1.0
+        root: FloatArray = np.asarray(np.linalg.cholesky(self.filtered), dtype=np.float64)
+        information, vector, axes = frame.scaled(root, factor)
+        usable = information > 1e-12
+        distance2 = float(np.sum(vector[usable] ** 2 / (information + information**2)[usable]))
+        part = frame.attitude_by_lens @ self.covariance @ frame.attitude_by_lens.T
+        found = LensUpdate(True, "", used, distance2, int(usable.sum()), factor * self.noise_factor, part)
+        step = root @ axes @ (vector / (1.0 + information))
+        moved = change_lens(self.camera, dict(zip(self.names, step.tolist(), strict=True)))
+        limit = float(chdtri(max(found.freedom, 1), self.settings.false_rejection))
+        if distance2 > limit or not is_one_to_one(moved):
+            return self._refused(found)
+        self._beyond, self.frames = 0, self.frames + 1
+        share = (found.noise_factor * chosen.sigma_px / (factor * self._effective_px(chosen, rows[used]))) ** 2
+        self._remember(rows, stars, frame)
+        self.camera = moved
+        spread = root @ axes / np.sqrt(1.0 + information)
+        self.filtered = spread @ spread.T
+        gain = self.filtered / factor**2
+        update = np.eye(len(self.names)) - gain @ frame.information
+        noise = factor**2 * gain @ frame.noise_information(share) @ gain
+        self.random = update @ self.random @ update.T + noise
+        self.stars.follow(update, rows[used], gain @ frame.by_star)
+        fading = math.exp(-freedom / _MEMORY)
+        self._chi2, self._freedom = fading * self._chi2 + min(chi2, most), fading * self._freedom + freedom
+        return found
+
+    def _effective_px(self, stars: IdentifiedStars, rows: IntArray) -> FloatArray:
+        """Standard errors (M,) that weigh the stars: the constant error of a star that was seen n times has the weight
+        of an error of √n times its size in each frame."""
+        constant_px2 = (1.0 + self.stars.sightings(rows)) * self.settings.star_error_px**2
+        return np.sqrt((self.noise_factor * stars.sigma_px) ** 2 + constant_px2)
+
+    def _misfit(self, stars: IdentifiedStars, frame: LensEquations) -> tuple[float, int]:
+        """χ² of the residuals of a frame with the stated errors, and its degrees of freedom."""
+        variance = stars.sigma_px**2 + self.settings.star_error_px**2 + self._lens_px2(frame.by_lens)
+        return float(np.sum(np.sum(frame.residual**2, axis=1) / variance)), 2 * len(stars) - 3
+
+    def _lens_px2(self, by_lens: FloatArray) -> FloatArray:
+        """Variance (M,) on one axis of predicted positions by the uncertainty of the lens."""
+        return np.asarray(np.einsum("mip,pq,miq->m", by_lens, self.covariance, by_lens) / 2.0)
+
+    def _remember(self, rows: IntArray, stars: IdentifiedStars, frame: LensEquations) -> None:
+        """Residuals of all stars of a frame, also of those that were not used."""
+        seen, pixel = self.camera.unproject(stars.xy), self.camera.pixel_rad
+        every = lens_equations(self.camera, frame.matrix, stars, self.names).by_lens
+        lens_px = np.sqrt(self._lens_px2(every))
+        residual = seen @ frame.matrix - stars.directions
+        self.stars.add_residuals(rows, residual, self.noise_factor * stars.sigma_px * pixel, lens_px * pixel)
+
+    def _refused(self, found: LensUpdate) -> LensUpdate:
+        """A frame beyond the gate; after several in succession the initial uncertainty is added to the lens."""
+        self._beyond += 1
+        reason = f"distance² {found.distance2:.1f} of {found.freedom} degrees of freedom is beyond the gate"
+        if self._beyond >= _RESET_AFTER:
+            self._widen(self.initial_sigma**2)
+            self._beyond, self.restarts = 0, self.restarts + 1
+            reason += f"; the lens was made uncertain after {_RESET_AFTER} such frames"
+        return replace(found, accepted=False, reason=reason)
+
+    def _fitting(
+        self, matrix: FloatArray, stars: IdentifiedStars, trusted: BoolArray, effective_px: FloatArray
+    ) -> tuple[BoolArray, LensEquations | None]:
+        """Stars whose residuals fit, and the equations of these."""
+        used = trusted.copy()
+        while used.sum() >= max(_FEWEST_STARS, len(used) // 2):
+            chosen = stars.select(used)
+            weighed = replace(chosen, sigma_px=effective_px[used])
+            frame = lens_equations(self.camera, matrix, weighed, self.names)
+            expected = (self.noise_factor * chosen.sigma_px) ** 2 + self.settings.star_error_px**2
+            sigma = np.sqrt(expected + self._lens_px2(frame.by_lens))
+            length = np.hypot(*frame.residual.T) / sigma
+            limit = _REJECT_SIGMAS * max(float(np.median(length)) / _RAYLEIGH_MEDIAN, 1.0)
+            good = length <= limit
+            if good.all():
+                return used, frame
+            # a misidentified star rotates the frame: the worst go first, half of those beyond the limit at a time
+            worst = np.flatnonzero(~good)
+            worst = worst[np.argsort(-length[worst])][: (len(worst) + 1) // 2]
+            used[np.flatnonzero(used)[worst]] = False
+        return used, None

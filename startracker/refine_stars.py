@@ -1,0 +1,63 @@
+"""Attitude of a field from its stars alone: planets, Moon and Sun are recognised by their ephemeris and left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
+from startracker.camera import Camera
+from startracker.catalog.guide import GuideDatabase
+from startracker.estimation import Estimator
+from startracker.observer import Observer
+from startracker.refine import Measured, Refined, refine
+
+__all__ = ["refine_stars"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def refine_stars(
+    pairs: IntArray,
+    stars: Measured,
+    camera: Camera,
+    guide: GuideDatabase,
+    estimator: Estimator,
+    directions: FloatArray | None,
+    observer: Observer | None,
+) -> tuple[Refined, SeenBodies]:
+    """Attitude of a field, and the bodies of the solar system among its centroids; if a star was identified with the
+    centroid of one, the attitude is fitted again without this centroid.
+
+    Parameters
+    ----------
+    pairs, stars, camera, guide, estimator, observer
+        As in `startracker.refine.refine`.
+    directions : (N, 3), optional
+        Directions of the centroids in the camera frame; None: the focal length is fitted.
+    """
+    free = directions is None
+    refined = refine(pairs, stars, camera, guide, estimator, free, directions, observer)
+    matched = refined.pairs[:, 0], np.hypot(refined.residual_px[:, 0], refined.residual_px[:, 1])
+    bodies = seen_bodies(stars.xy, refined.camera, refined.matrix, observer, matched)
+    if not len(bodies.centroid) or not np.isin(bodies.centroid, refined.pairs[:, 0]).any():
+        return refined, bodies
+    rows = np.setdiff1d(np.arange(len(stars.xy)), bodies.centroid)
+    left = pairs[~np.isin(pairs[:, 0], bodies.centroid)]
+    left = np.stack([np.searchsorted(rows, left[:, 0]), left[:, 1]], axis=1)
+    if len(left) < 2:  # no attitude without it
+        return refined, NO_BODIES
+    kept = None if directions is None else directions[rows]
+    again = refine(left, _selected(stars, rows), camera, guide, estimator, free, kept, observer)
+    return replace(again, pairs=np.stack([rows[again.pairs[:, 0]], again.pairs[:, 1]], axis=1)), bodies
+
+
+def _selected(stars: Measured, rows: IntArray) -> Measured:
+    """Some rows of the centroids."""
+    flux, variance, covariance = (
+        None if column is None else column[rows] for column in (stars.flux, stars.variance_px2, stars.covariance_px2)
+    )
+    return Measured(stars.xy[rows], flux, variance, covariance, stars.common_px2, stars.misfit)
