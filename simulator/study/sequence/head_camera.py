@@ -138,13 +138,11 @@ class HeadCamera:
 
     def columns(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
         """Columns of a frame, without the name of the head."""
-        stars, bodies = in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit)
         wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
         columns: dict[str, Any] = {
             "status": str(solution.status),
             "reason": solution.reason,
-            "stars_in_field": stars,
-            "bodies_in_field": bodies,
+            **in_field(frame.camera, truth.sources, self.scenario.tracker.magnitude_limit),
             "excluded": ", ".join(truth.excluded),
             "stars_detected": len(solution.centroids),
             "stars_matched": solution.matched,
