@@ -25,6 +25,7 @@ from pathlib import Path
 from numba.core import event
 
 from benchmarks.report import Table, show
+from startracker.kernels import name_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PHOTOGRAPH = ROOT.parent / "shared" / "sky" / "short_exposure_50ms.jpg"
@@ -143,8 +144,7 @@ class _Recorder(event.Listener):  # type: ignore[misc]  # numba has no types
 
 
 def _name(seen: event.Event) -> str:
-    function = seen.data["dispatcher"].py_func
-    return f"{function.__module__}:{function.__qualname__}"
+    return name_of(seen.data["dispatcher"].py_func)
 
 
 def _record(file: Path, command: list[str]) -> None:

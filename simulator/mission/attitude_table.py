@@ -17,8 +17,10 @@ from simulator.mission.attitude_law import after, body_of, from_matrices
 from simulator.mission.clock import Clock
 from simulator.mission.frames import to_frame
 from simulator.mission.interpolation import StateTable
+from simulator.mission.pointing import level_matrices
 from simulator.mission.tables import read_rows
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
+from simulator.mission.trajectory import Trajectory
 from startracker.errors import InputError
 
 __all__ = ["AttitudeSegment", "TabulatedAttitude", "continuous", "interpolated", "read_attitude_table"]
@@ -26,6 +28,8 @@ __all__ = ["AttitudeSegment", "TabulatedAttitude", "continuous", "interpolated",
 FloatArray = NDArray[np.float64]
 
 QUATERNION_COLUMNS = ("qx", "qy", "qz", "qw")
+LOCAL_LEVEL = "local_level"
+"""Axes of the local level (`simulator.mission.pointing.local_level`)."""
 LENGTH_TOLERANCE = 1e-3
 """Difference of a quaternion's length from 1 that is rounding of a file with few decimals; more is an error."""
 _BORESIGHT_TOLERANCE_DEG = 0.01
@@ -134,7 +138,8 @@ class AttitudeSegment:
     last_s: float
     """Usable span, seconds after the epoch."""
     frame: str
-    """Axes that the quaternions start from (`simulator.mission.frames.to_frame`), in which they are interpolated."""
+    """Axes that the quaternions start from (`simulator.mission.frames.to_frame`, or ``local_level``), in which they are
+    interpolated."""
     quaternions: Interpolation
     """From those axes to the axes of the law."""
 
@@ -151,14 +156,21 @@ class TabulatedAttitude:
     """The file, for messages."""
     mounting: FloatArray | None
     """(4,): Quaternion from body to camera, if the file has the attitudes of the camera."""
+    orbit: Trajectory | None = None
+    """Trajectory to whose local level the frame ``local_level`` refers."""
 
     @classmethod
     def of(
-        cls, segments: Sequence[AttitudeSegment], clock: Clock, name: str, mounting: FloatArray | None
+        cls,
+        segments: Sequence[AttitudeSegment],
+        clock: Clock,
+        name: str,
+        mounting: FloatArray | None,
+        orbit: Trajectory | None = None,
     ) -> TabulatedAttitude:
         """Law of at least one segment, whose spans are extended by the resolution of epochs."""
         wider = [replace(s, first_s=s.first_s - RESOLUTION_S, last_s=s.last_s + RESOLUTION_S) for s in segments]
-        return cls(clock, tuple(sorted(wider, key=lambda segment: segment.first_s)), name, mounting)
+        return cls(clock, tuple(sorted(wider, key=lambda segment: segment.first_s)), name, mounting, orbit)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -174,12 +186,21 @@ class TabulatedAttitude:
         own = segment.quaternions(t_s)
         if segment.frame == "icrf":
             return own
-        axes = np.broadcast_to(to_frame(segment.frame, self.clock, t_s), (len(t_s), 3, 3))
+        if segment.frame == LOCAL_LEVEL:
+            assert self.orbit is not None
+            axes = level_matrices(*self.orbit.state(t_s))
+        else:
+            axes = np.broadcast_to(to_frame(segment.frame, self.clock, t_s), (len(t_s), 3, 3))
         return after(from_matrices(axes), own)
 
 
 def read_attitude_table(
-    path: Path, clock: Clock, frame: str, method: Literal["slerp", "spline"], mounting: FloatArray | None
+    path: Path,
+    clock: Clock,
+    frame: str,
+    method: Literal["slerp", "spline"],
+    mounting: FloatArray | None,
+    orbit: Trajectory | None = None,
 ) -> TabulatedAttitude:
     """Law of a table in CSV or Parquet.
 
@@ -195,11 +216,13 @@ def read_attitude_table(
     clock : Clock
         The scenario's clock.
     frame : str
-        As for `simulator.mission.frames.to_frame`.
+        As for `simulator.mission.frames.to_frame`, or ``local_level``.
     method : str
         As for `interpolated`.
     mounting : array, shape (4,), optional
         Quaternion from body to camera, if the table has the attitudes of the camera.
+    orbit : Trajectory, optional
+        Trajectory of the spacecraft, without which attitudes relative to ``local_level`` are read, but not evaluated.
 
     Raises
     ------
@@ -210,8 +233,8 @@ def read_attitude_table(
     t_s, values, positions = read_rows(path, clock, QUATERNION_COLUMNS, ("ra_deg", "dec_deg"))
     quaternions, _ = continuous(values[:, :4], positions)
     segment = AttitudeSegment(float(t_s[0]), float(t_s[-1]), frame, interpolated(t_s, quaternions, method))
-    law = TabulatedAttitude.of([segment], clock, str(path), mounting)
-    if mounting is not None and values.shape[1] > 4:
+    law = TabulatedAttitude.of([segment], clock, str(path), mounting, orbit)
+    if mounting is not None and values.shape[1] > 4 and (orbit is not None or frame != LOCAL_LEVEL):
         cameras = replace(law, mounting=None).quaternions(t_s)
         _compare_directions(cameras, np.radians(values[:, 4:]), positions)
     return law

@@ -46,7 +46,7 @@ def build_attitude_law(parameters: PointingParameters, orbit: Trajectory, folder
         raise InputError(f"pointing: {' and '.join(parameters.laws)} both define the attitude; remove one of them")
     mounting = mounting_of(parameters)
     if parameters.law == "attitude":
-        return attitude_from_file(parameters.attitude, orbit.clock, mounting.quat, folder)
+        return attitude_from_file(parameters.attitude, orbit.clock, mounting.quat, folder, orbit)
     if parameters.law == "waypoints":
         return build_slews(parameters.waypoints, orbit.clock, mounting.quat)
     if parameters.law == "track":
@@ -56,8 +56,11 @@ def build_attitude_law(parameters: PointingParameters, orbit: Trajectory, folder
     return None
 
 
-def attitude_from_file(section: AttitudeSource, clock: Clock, mounting: FloatArray, folder: Path) -> AttitudeLaw:
-    """Law of the file of a section; `mounting` (4,), body → camera, is applied to attitudes of the camera."""
+def attitude_from_file(
+    section: AttitudeSource, clock: Clock, mounting: FloatArray, folder: Path, orbit: Trajectory | None = None
+) -> AttitudeLaw:
+    """Law of the file of a section; `mounting` (4,), body → camera, is applied to attitudes of the camera. Without the
+    trajectory a table relative to the local level can be read, but not evaluated."""
     if len(section.sources) > 1:
         given = " and ".join(section.sources)
         raise InputError(f"pointing.attitude: {given} both define the attitude; remove one of them")
@@ -70,7 +73,7 @@ def attitude_from_file(section: AttitudeSource, clock: Clock, mounting: FloatArr
         if section.sclk is None:
             raise InputError(f"{path}: needs pointing.attitude.sclk, the kernel of the spacecraft's clock")
         return read_ck(path, folder / section.sclk, clock, section.object, camera)
-    return read_attitude_table(path, clock, section.frame, section.interpolation, camera)
+    return read_attitude_table(path, clock, section.frame, section.interpolation, camera, orbit)
 
 
 def _from_aem(section: AttitudeSource, path: Path, clock: Clock, mounting: FloatArray) -> TabulatedAttitude:

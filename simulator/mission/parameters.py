@@ -166,8 +166,8 @@ class AttitudeSource:
     gives: Literal["auto", "body", "camera"] = "auto"
     """Whose attitudes they are. ``auto``: in an AEM by the name of the frame (``SC_BODY``, ``STARTRACKER``), otherwise
     the body's. `mounting` leads from the one to the other."""
-    frame: Literal["icrf", "eme2000", "equator_of_date", "teme", "itrf", "ecliptic"] = "icrf"
-    """Axes from which the quaternions of a table start."""
+    frame: Literal["icrf", "eme2000", "equator_of_date", "teme", "itrf", "ecliptic", "local_level"] = "icrf"
+    """Axes from which the quaternions of a table start; ``local_level`` as for `offset_deg`."""
     interpolation: Literal["slerp", "spline"] = "slerp"
     """Of a table. ``slerp``: constant rate between rows; ``spline``: cubic spline of rotations, continuous rates and
     accelerations."""

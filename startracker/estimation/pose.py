@@ -48,7 +48,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 
 from startracker.estimation.image_errors import AS_ASSUMED
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import inverse
 from startracker.sorting import median
 
@@ -137,14 +137,31 @@ def few_stars_factor(freedom: int) -> float:
     return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
 
 
+@kernel_part
 def _columns(stars: Linearised) -> FloatArray:
     """H (M, 2, 6 + E): rotation, the caller's columns, focal length, shears."""
-    known, offset = stars.extra.shape[2], stars.offset
+    slopes, extra, offset = stars.slopes, stars.extra, stars.offset
+    known = extra.shape[2]
     out = np.empty((len(offset), 2, 6 + known))
-    out[:, :, :3], out[:, :, 3 : 3 + known] = stars.slopes, stars.extra
-    out[:, :, 3 + known] = out[:, :, 4 + known] = offset
-    out[:, 1, 4 + known] *= -1.0
-    out[:, :, 5 + known] = offset[:, ::-1]
+    for n in range(len(offset)):
+        for axis in range(2):
+            for k in range(3 + known):
+                out[n, axis, k] = slopes[n, axis, k] if k < 3 else extra[n, axis, k - 3]
+            out[n, axis, 3 + known] = offset[n, axis]
+            out[n, axis, 4 + known] = -offset[n, axis] if axis else offset[n, axis]
+            out[n, axis, 5 + known] = offset[n, 1 - axis]
+    return out
+
+
+@kernel_part
+def _prior_sigma(extra_sigma: FloatArray, first: int) -> FloatArray:
+    """Prior standard deviations of each model's unknowns except the rotation, (3, 6 + E)."""
+    known = len(extra_sigma)
+    out = np.empty((3, 6 + known))
+    for model in range(3):
+        for k in range(6 + known):
+            out[model, k] = extra_sigma[k - 3] if 3 <= k < 3 + known else SHEAR_SIGMA
+        out[model, 3 + known] = FOCAL_SIGMA if model == 1 and first == 0 else FREE_FOCAL_SIGMA
     return out
 
 
@@ -155,6 +172,7 @@ def displacements(offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -
     return moved + extra @ unknowns[:-3] if len(unknowns) > 3 else moved
 
 
+@kernel
 def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose:
     """Average of all models of the module's docstring, weighted by evidence.
 
@@ -168,13 +186,15 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose
     models : int
         Number of models: 3, or 2 if the caller's columns already include shears.
     """
-    columns = _columns(stars)
-    pose = _fit_models(stars, columns, trusted, first, models, np.eye(2))
-    if trusted > 0.0 and pose.systematic_px2 > 0.0:
+    columns, shape = _columns(stars), np.empty((2, 2))
+    shape[0, 0], shape[0, 1], shape[1, 0], shape[1, 1] = 1.0, 0.0, 0.0, 1.0
+    while True:  # a part is compiled once for each call
+        pose: Pose = _fit_models(stars, columns, trusted, first, models, shape)
+        if trusted == 0.0 or pose.systematic_px2 == 0.0 or shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
+            return pose
         shape = _shape_of_systematic(stars.residual, columns, pose)
-        if shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
-            pose = _fit_models(stars, columns, trusted, first, models, shape)
-    return pose
+        if shape[0, 0] == 1.0 and shape[0, 1] == 0.0:
+            return pose
 
 
 @kernel
@@ -198,27 +218,31 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
         share_of_one = share * min(1.0, _FARTHEST_SQUARE / square) / variance
         a, b = a + share_of_one * 0.5 * (x * x - y * y), b + share_of_one * x * y
         information += share * share
-    out = np.eye(2)
+    shape = np.empty((2, 2))
+    shape[0, 0], shape[0, 1], shape[1, 0], shape[1, 1] = 1.0, 0.0, 0.0, 1.0
     size = math.hypot(a, b) / information
     if size * size * information > _LEAST_ELONGATION:
         size_kept = min(size * (1.0 - (_LEAST_ELONGATION / (size * size * information)) ** 2), _MOST_ELONGATION)
         a, b = a * size_kept / (size * information), b * size_kept / (size * information)
-        out[0, 0], out[0, 1], out[1, 0], out[1, 1] = 1.0 + a, b, b, 1.0 - a
-    return out
+        shape[0, 0], shape[0, 1], shape[1, 0], shape[1, 1] = 1.0 + a, b, b, 1.0 - a
+    return shape
 
 
+@kernel_part
 def _fit_models(
     stars: Linearised, columns: FloatArray, trusted: float, first: int, models: int, shape: FloatArray
 ) -> Pose:
     """`fit_pose` with the systematic error's covariance τ² `shape`."""
-    trace = 0.5 * (stars.covariance[:, 0, 0] + stars.covariance[:, 1, 1])
-    unit, known = median(trace.copy()), len(stars.extra_sigma)  # it sorts
-    prior_sigma = np.full((3, columns.shape[2]), SHEAR_SIGMA)
-    prior_sigma[:, 3 : 3 + known], prior_sigma[:, 3 + known] = stars.extra_sigma, FREE_FOCAL_SIGMA
-    if first == 0:
-        prior_sigma[1, 3 + known] = FOCAL_SIGMA
-    fits = _fit_each_model(stars, columns, prior_sigma, trusted, first, models, unit, shape)
-    pose: Pose = _averaged(*fits, trace, unit, known)
+    known, stated = len(stars.extra_sigma), stars.covariance
+    prior_sigma = _prior_sigma(stars.extra_sigma, first)
+    trace, to_sort = np.empty(len(columns)), np.empty(len(columns))
+    for n in range(len(columns)):
+        trace[n] = to_sort[n] = 0.5 * (stated[n, 0, 0] + stated[n, 1, 1])
+    unit = median(to_sort)
+    weight, scale, mean, every, plain = _fit_each_model(
+        stars, columns, prior_sigma, trusted, first, models, unit, shape
+    )
+    pose: Pose = _averaged(weight, scale, mean, every, plain, trace, unit, known)
     return pose
 
 
@@ -260,7 +284,7 @@ def _fit_each_model(
     """All models, with the systematic error's covariance τ² `shape`: logarithms of their weights and scales
     (grid, 3), means (grid, 3, 6 + E) and covariances of all unknowns, and covariances (grid, 3, 3) of rotations alone.
 
-    `prior_sigma` (3, 6 + E) has the prior standard deviations of each model's unknowns except the rotation.
+    `prior_sigma` is that of `_prior_sigma`.
     """
     widest, known = columns.shape[2], columns.shape[2] - 6
     freedom = 2.0 * len(columns) - 3.0

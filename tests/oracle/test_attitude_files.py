@@ -25,6 +25,7 @@ from simulator.mission.epochs import tdb_seconds
 from simulator.mission.frames import to_frame
 from simulator.mission.messages import Header, aem_text
 from simulator.mission.parameters import AttitudeSource, OrbitParameters, PointingParameters
+from simulator.mission.pointing import local_level
 from simulator.mission.spice import Attitudes, spice_kernels
 from simulator.mission.trajectories import build_trajectory
 from startracker.attitude import Attitude, quat_to_matrix
@@ -332,6 +333,17 @@ def test_tables_by_scipy_s_rotations(kind, tmp_path):
     axes = to_frame("itrf", CLOCK, T_S)
     for k in range(12):
         np.testing.assert_allclose(quat_to_matrix(fixed[k]), quat_to_matrix(q[k]) @ axes[k], rtol=0, atol=1e-12)
+
+
+def test_tables_relative_to_the_local_level(tmp_path):
+    """The identity is the local level, and a rotation about +Z a yaw from it."""
+    yaw = np.radians(0.5 * T_S)
+    rows = np.stack([np.zeros(12), np.zeros(12), np.sin(yaw / 2.0), np.cos(yaw / 2.0)], axis=1)
+    law = law_of(csv=str(table(tmp_path, "csv", rows)), frame="local_level")
+    for t in (0.0, 30.0, 47.0):
+        turn = Attitude.from_rotation_vector([0.0, 0.0, math.radians(0.5 * t)], "local_level", "local_level")
+        expected = turn @ local_level(*ORBIT.state(t))
+        np.testing.assert_allclose(law_attitude(law, t).as_matrix(), expected.as_matrix(), rtol=0, atol=1e-13)
 
 
 def test_the_convention_is_checked_by_the_boresight(tmp_path):
