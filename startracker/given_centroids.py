@@ -40,7 +40,8 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
         signal = signal[keep]
         good = np.isfinite(signal) & (signal > 0)
         if good.any():
-            signal = np.where(good, signal, signal[good].min() * 0.5)
+            if not good.all():
+                signal = np.where(good, signal, signal[good].min() * 0.5)
             # ties are broken by position, so that the order of the input does not matter
             order = np.lexsort((points[:, 0], points[:, 1], -signal))
             points, signal = points[order], signal[order]

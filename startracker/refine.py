@@ -309,7 +309,9 @@ class _Field:
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
         right = self._corrected(self.xy, errors)
         pairs, fits, merged = named(right, self.stated, index, pixels + moved, scale, pose.systematic_px2, near_px)
-        return pairs, fits, np.where(merged == right, self.xy, merged + (self.xy - right))
+        if right is not self.xy:
+            merged = np.where(merged == right, self.xy, merged + (self.xy - right))
+        return pairs, fits, merged
 
     def _predicted(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
         """Guide stars (G,) on the image, their pixels (G, 2), and their displacement by the unknowns of the camera (G,
