@@ -25,7 +25,6 @@ from pathlib import Path
 from numba.core import event
 
 from benchmarks.report import Table, show
-from startracker.kernels import name_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PHOTOGRAPH = ROOT.parent / "shared" / "sky" / "short_exposure_50ms.jpg"
@@ -144,7 +143,8 @@ class _Recorder(event.Listener):  # type: ignore[misc]  # numba has no types
 
 
 def _name(seen: event.Event) -> str:
-    return name_of(seen.data["dispatcher"].py_func)
+    function = seen.data["dispatcher"].py_func
+    return f"{function.__module__}:{function.__qualname__}"
 
 
 def _record(file: Path, command: list[str]) -> None:

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 with contextlib.suppress(ImportError):
@@ -26,7 +25,7 @@ from numba.core import event
 
 from startracker.compilation import expected_kernels, progress
 
-__all__ = ["clock", "is_compiled", "kernel", "kernel_part", "kernel_with", "name_of", "processor_clock"]
+__all__ = ["clock", "is_compiled", "kernel", "kernel_part", "kernel_with", "processor_clock"]
 
 _OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _OURS = ("startracker.", "simulator.")
@@ -57,47 +56,15 @@ def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    """A kernel of two forms: for Python, and for other kernels, without the wrapper that unpacks Python objects.
-
-    The wrapper takes a third to a half of the time to compile a small kernel.
-    """
-    dispatcher = _cached(function, **options)
-
-    @cache
-    def called() -> Any:
-        return _cached(_renamed(function), no_cpython_wrapper=True, **options)
+    dispatcher = njit(**_OPTIONS, **options)(function)
+    resolve = dispatcher.get_call_template
 
     def resolve_numbers(arguments: tuple[types.Type, ...], named: dict[str, types.Type]) -> Any:
         plain = {name: types.unliteral(argument) for name, argument in named.items()}
-        return called().get_call_template(tuple(map(types.unliteral, arguments)), plain)
+        return resolve(tuple(map(types.unliteral, arguments)), plain)
 
-    dispatcher.called, dispatcher.get_call_template = called, resolve_numbers
-    dispatcher.get_overload = lambda signature: called().get_overload(signature)
-    return dispatcher
-
-
-_CALLED = ".called"
-"""Suffix of the names of kernels compiled for other kernels."""
-
-
-def _renamed(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function under a name of its own in the cache."""
-    assert isinstance(function, FunctionType)
-    again = FunctionType(
-        function.__code__, function.__globals__, function.__name__, function.__defaults__, function.__closure__
-    )
-    again.__module__, again.__qualname__ = function.__module__, function.__qualname__ + _CALLED
-    return again
-
-
-def name_of(function: Callable[..., Any]) -> str:
-    """Module and name of a kernel, of either form."""
-    return f"{function.__module__}:{function.__qualname__.removesuffix(_CALLED)}"
-
-
-def _cached(function: Callable[..., Any], **options: Any) -> Any:
-    dispatcher = njit(**_OPTIONS, **options)(function)
-    compile_now, name = dispatcher.compile, name_of(function)
+    dispatcher.get_call_template = resolve_numbers
+    compile_now, name = dispatcher.compile, f"{function.__module__}:{function.__qualname__}"
 
     def compile_once(signature: Any) -> Any:
         with _held(Path(dispatcher.stats.cache_path), name):
@@ -180,7 +147,8 @@ class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
 
     def on_end(self, seen: event.Event) -> None:
         function = seen.data["dispatcher"].py_func
-        progress.end(name_of(function) if function.__module__.startswith(_OURS) else None)
+        ours = function.__module__.startswith(_OURS)
+        progress.end(f"{function.__module__}:{function.__qualname__}" if ours else None)
         self._depth -= 1
         if not self._depth and self._collects:
             gc.enable()
@@ -210,8 +178,7 @@ def _on_disk(names: Iterable[str]) -> list[str]:
             continue
         folder = Path(dispatcher.stats.cache_path)
         if folder not in listed:
-            names_on_disk = (file.name.rpartition("-")[0] for file in folder.glob("*.nbi"))
-            listed[folder] = {name.removesuffix(_CALLED) for name in names_on_disk}
+            listed[folder] = {file.name.rpartition("-")[0] for file in folder.glob("*.nbi")}
         if f"{module.rpartition('.')[2]}.{function}" in listed[folder]:
             found.append(name)
     return found

@@ -168,16 +168,7 @@ def _calls(number):
 def test_constants_are_no_types_of_their_own():
     assert _calls(1) == 16
     _calls.recompile()  # a kernel that comes from the cache has not compiled those it calls
-    assert len(_twice.called().signatures) == 1
-
-
-def test_a_kernel_of_a_kernel_may_be_called_from_python_as_well():
-    """That form has no wrapper for Python: numba would jump to address zero."""
-    assert _calls(2) == 18
-    _calls.recompile()
-    assert not _twice.signatures
-    assert _twice(5) == 10
-    assert len(_twice.signatures) == len(_twice.called().signatures) == 1
+    assert len(_twice.signatures) == 1
 
 
 @settings(deadline=None)  # the first call compiles
