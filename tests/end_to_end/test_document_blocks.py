@@ -16,7 +16,7 @@ PAGES = [
     *sorted(DOCS.glob("tutorials/*.md")),
     *sorted(DOCS.glob("how-to/*.md")),
 ]
-LONG = {"camera", "choose-a-lens", "first-study", "quantum-efficiency"}
+LONG = {"attitude", "camera", "choose-a-lens", "first-study", "orbit", "quantum-efficiency", "several-heads"}
 """Tutorials and guides with ten seconds and more of computing."""
 QUICK = [p for p in PAGES if (p.parent != DOCS or p.stem == "index") and p.stem not in LONG]
 

@@ -29,7 +29,9 @@ AMOUNTS = Amounts(5, 40, 8, 5, 1, 5, 12, 4, 400)
 # with 50 % 6 frames can show that a requirement is met: 0.5^6 = 0.016; the sequence has 7 independent ones
 
 
-@pytest.mark.parametrize(("limit_deg", "expected"), [(0.02, "met"), (1.0e-5, "not met")])
+@pytest.mark.parametrize(
+    ("limit_deg", "expected"), [pytest.param(0.02, "met", marks=pytest.mark.slow), (1.0e-5, "not met")]
+)
 def test_all_commands_give_the_same_verdict(tmp_path, monkeypatch, capsys, limit_deg, expected):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "judged.yaml").write_text(CAMERA.replace("LIMIT", f"{limit_deg:g}"))
