@@ -19,6 +19,9 @@ from startracker.errors import InputError
 
 __all__ = ["as_array", "as_column", "read_columns", "table_of"]
 
+_FLOATS = {"halffloat": "float16", "float": "float32", "double": "float64"}
+"""Names of Arrow's floating-point types in NumPy; those of integers are equal."""
+
 
 def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
     """Table with the columns of the first row, as `pyarrow.Table.from_pylist`."""
@@ -77,8 +80,9 @@ def as_array(column: pa.ChunkedArray) -> NDArray[Any]:
 
 
 def _plain(chunk: pa.Array) -> NDArray[Any]:
-    buffer, dtype = chunk.buffers()[1], chunk.type.to_pandas_dtype()
-    return np.frombuffer(buffer, dtype)[chunk.offset :][: len(chunk)]
+    name = str(chunk.type)  # not its to_pandas_dtype, for which older versions of PyArrow need pandas
+    dtype = np.dtype(_FLOATS.get(name, name))
+    return np.frombuffer(chunk.buffers()[1], dtype)[chunk.offset :][: len(chunk)]
 
 
 def _truth_values(chunk: pa.Array) -> NDArray[Any]:
