@@ -14,6 +14,7 @@ from simulator.build import build_scenes
 from simulator.cli.solve_output import as_dict
 from simulator.mission.frames import argument_of_latitude_deg
 from simulator.scenario import Scenario
+from simulator.study.sequence.columns import is_wrong_attitude
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.statistics import CAMERA_AXES, WRONG_NEES, is_wrong
 from simulator.study.trials.bounds import matched_sources
@@ -157,11 +158,11 @@ def test_a_frame_of_a_sequence_is_wrong_by_the_same_rule():
     frame, truth = runner.renderer.frame(0)
     solution = solve_frame(runner.tracker, frame)
     far = np.array([90.0 / 3600.0, 0.0, 0.0])
-    assert runner._is_wrong(truth, solution, 0, 3600.0, far)
-    assert not runner._is_wrong(truth, solution, 0, 3.0, far)  # it says that it may be so far off
-    assert not runner._is_wrong(truth, solution, 0, 3600.0, far * 1e-4)  # noise explains it
-    assert runner._is_wrong(truth, solution, 1, 3.0, far * 1e-4)
-    assert not runner._is_wrong(truth, replace(solution, status=Status.NO_MATCH), 1, 3600.0, far)
+    assert is_wrong_attitude(runner.renderer, truth, solution, 0, 3600.0, far)
+    assert not is_wrong_attitude(runner.renderer, truth, solution, 0, 3.0, far)  # it says that it may be so far off
+    assert not is_wrong_attitude(runner.renderer, truth, solution, 0, 3600.0, far * 1e-4)  # noise explains it
+    assert is_wrong_attitude(runner.renderer, truth, solution, 1, 3.0, far * 1e-4)
+    assert not is_wrong_attitude(runner.renderer, truth, replace(solution, status=Status.NO_MATCH), 1, 3600.0, far)
 
 
 def test_the_answer_says_which_stars_were_fitted():

@@ -80,7 +80,7 @@ class CalibratedCamera:
 
         `tracked` says whether the tracker was given the frame.
         """
-        lens, psf, last = self.calibration.lens, self.calibration.psf, self.calibration.last
+        lens, psf, last = self.calibration.lens, self.calibration.psf, self.calibration.last if tracked else None
         row: dict[str, Any] = {}
         for (column, factor), value, sigma, true in zip(
             self._known.values(), lens.change, lens.sigma, self.true_change(t_s), strict=True
@@ -91,10 +91,9 @@ class CalibratedCamera:
             "sigma_psf_width_px": psf.sigma_px,
             "true_psf_width_px": self.true_width_px,
         }
-        given = tracked and last is not None
-        row["lens_updated"] = given and last is not None and last.accepted
-        row["lens_distance2"] = last.distance2 if given and last is not None else math.nan
-        row["lens_freedom"] = last.freedom if given and last is not None else 0
+        row["lens_updated"] = last is not None and last.accepted
+        row["lens_distance2"] = last.distance2 if last is not None else math.nan
+        row["lens_freedom"] = last.freedom if last is not None else 0
         row["defective_px"] = int(self.calibration.defects.mask.sum())
         return {name: float(v) if isinstance(v, np.floating) else v for name, v in row.items()}
 

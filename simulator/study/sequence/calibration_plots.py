@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.sequence.time_axis import draw_defects, time_axis
 from simulator.study.style import BLUE, INK, Panel
 
 if TYPE_CHECKING:
@@ -32,7 +33,9 @@ def calibration_panels(columns: Columns) -> list[Panel]:
     """Panels of the estimated parameters and of the map of defective pixels."""
     names = [n.removeprefix("sigma_") for n in columns if n.startswith("sigma_") and _is_parameter(n)]
     panels = [Panel(_titles(name)[0], "", _drawer(name, columns)) for name in names]
-    defects = Panel("Defective pixels", "Number of pixels in the map.", lambda ax: _defects(ax, columns))
+    defects = Panel(
+        "Defective pixels", "Number of pixels in the map.", lambda ax: draw_defects(ax, columns, "defective_px")
+    )
     return [*panels, defects]
 
 
@@ -67,18 +70,4 @@ def draw_parameter(ax: Axes, columns: Columns, name: str) -> None:
     ax.set_ylabel(_titles(name)[1])
     ax.ticklabel_format(useOffset=False)
     ax.legend(loc="upper right", ncols=4, framealpha=0.8)
-    _time(ax, t)
-
-
-def _defects(ax: Axes, columns: Columns) -> None:
-    t = columns["elapsed_s"]
-    ax.step(t, columns["defective_px"], where="mid", color=BLUE, linewidth=1.2)
-    ax.set_ylim(bottom=0, top=1.2 * max(1, int(columns["defective_px"].max())))
-    ax.set_ylabel("pixels")
-    _time(ax, t)
-
-
-def _time(ax: Axes, t: NDArray[Any]) -> None:
-    step = float(t[1] - t[0]) if len(t) > 1 else 1.0
-    ax.set_xlim(float(t[0]) - step / 2.0, float(t[-1]) + step / 2.0)
-    ax.set_xlabel("time [s]")
+    time_axis(ax, columns)

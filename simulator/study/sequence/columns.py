@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES
+from simulator.frame import FrameTruth
+from simulator.renderer import Renderer
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, is_wrong
+from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from simulator.study.trials.systematic import explained_deg
 from simulator.study.trials.trial import attitude_errors_deg
 from startracker.attitude import Attitude
+from startracker.solution import Solution
 
-__all__ = ["NO_FRAME", "attitude_columns", "camera_error_deg", "error_columns"]
+__all__ = ["NO_FRAME", "attitude_columns", "camera_error_deg", "error_columns", "is_wrong_attitude"]
 
 FloatArray = NDArray[np.float64]
 
@@ -65,3 +70,17 @@ def error_columns(
 def camera_error_deg(row: dict[str, Any]) -> FloatArray:
     """Error about the camera's axes (3,), degrees, of a row."""
     return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
+
+
+def is_wrong_attitude(
+    renderer: Renderer, truth: FrameTruth, solution: Solution, misidentified: int, nees: float, error_deg: FloatArray
+) -> bool:
+    """Whether the attitude of a solved frame is wrong (`simulator.study.statistics.is_wrong`), with the noise of this
+    frame alone. The bound is computed only for the few attitudes for which it matters."""
+    if not solution.solved:
+        return False
+    bound_deg = np.full(3, math.nan)
+    if nees > WRONG_NEES:
+        stars = matched_sources(truth, solution.stars.fitted.xy)
+        bound_deg = explained_deg(renderer, truth, stars, attitude_bound_deg(renderer, truth, stars))
+    return is_wrong(misidentified, nees, error_deg, bound_deg)

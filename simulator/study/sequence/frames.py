@@ -20,13 +20,17 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.calibration import CalibratedCamera
-from simulator.study.sequence.columns import NO_FRAME, attitude_columns, camera_error_deg, error_columns
+from simulator.study.sequence.columns import (
+    NO_FRAME,
+    attitude_columns,
+    camera_error_deg,
+    error_columns,
+    is_wrong_attitude,
+)
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
-from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
-from simulator.study.trials.systematic import explained_deg
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
 from simulator.study.trials.trial import (
     attitude_errors_deg,
     build_tracker,
@@ -155,7 +159,7 @@ class SequenceRunner:
             row = self._row(k, state, truth.attitude_at_tag, session, solution, *times)
             row |= self._counts(frame, truth, solution)
             misnamed, error_deg = row["stars_misidentified"], camera_error_deg(row)
-            row["wrong"] = self._is_wrong(truth, solution, misnamed, row["nees"], error_deg)
+            row["wrong"] = is_wrong_attitude(self.renderer, truth, solution, misnamed, row["nees"], error_deg)
             if self.single:
                 row |= self._alone(self.tracker.solve(image, **known), truth)
             row |= self.operated.columns(frame, solution, session) if self.operated else {}
@@ -308,21 +312,7 @@ class SequenceRunner:
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
-            row["single_wrong"] = self._is_wrong(truth, solution, wrong_stars, nees, error_deg)
+            row["single_wrong"] = is_wrong_attitude(self.renderer, truth, solution, wrong_stars, nees, error_deg)
         row |= {f"single_error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["single_ms"] = sum(solution.times_ms.values()) if solution else math.nan
         return row
-
-    def _is_wrong(
-        self, truth: FrameTruth, solution: Solution, misidentified: int, nees: float, error_deg: FloatArray
-    ) -> bool:
-        """Whether the attitude of a solved frame is wrong (`simulator.study.statistics.is_wrong`), with the noise of
-        this frame alone. The bound is computed only for the few attitudes for which it matters."""
-        if not solution.solved:
-            return False
-        bound_deg = np.full(3, math.nan)
-        if nees > WRONG_NEES:
-            stars = matched_sources(truth, solution.stars.fitted.xy)
-            bound_deg = attitude_bound_deg(self.renderer, truth, stars)
-            bound_deg = explained_deg(self.renderer, truth, stars, bound_deg)
-        return is_wrong(misidentified, nees, error_deg, bound_deg)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,11 +16,8 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.heads import scenario_of_head
 from simulator.scenario.schema import HeadSection
-from simulator.study.sequence.columns import NO_FRAME, error_columns
+from simulator.study.sequence.columns import NO_FRAME, camera_error_deg, error_columns, is_wrong_attitude
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import CAMERA_AXES, WRONG_NEES, is_wrong
-from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
-from simulator.study.trials.systematic import explained_deg
 from simulator.study.trials.trial import build_tracker, in_field, misidentified
 from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
@@ -155,19 +151,9 @@ class HeadCamera:
             truth.mounting,
             truth.mounting_rotation_rad,
         )
-        error_deg = np.array([columns[f"error_{axis}_deg"] for axis in CAMERA_AXES])
-        columns["wrong"] = solution.solved and self._is_wrong(truth, solution, wrong_stars, columns["nees"], error_deg)
+        error_deg = camera_error_deg(columns)
+        columns["wrong"] = is_wrong_attitude(self.renderer, truth, solution, wrong_stars, columns["nees"], error_deg)
         return columns
-
-    def _is_wrong(
-        self, truth: FrameTruth, solution: Solution, wrong_stars: int, nees: float, error_deg: FloatArray
-    ) -> bool:
-        bound_deg = np.full(3, math.nan)
-        if nees > WRONG_NEES:
-            stars = matched_sources(truth, solution.stars.fitted.xy)
-            bound_deg = attitude_bound_deg(self.renderer, truth, stars)
-            bound_deg = explained_deg(self.renderer, truth, stars, bound_deg)
-        return is_wrong(wrong_stars, nees, error_deg, bound_deg)
 
     def missing(self) -> dict[str, Any]:
         """Columns of a missing frame."""

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from simulator.study.html_page import Table
 from simulator.study.sequence.columns import NO_FRAME
-from simulator.study.sequence.plots import draw_compared, time_axis
+from simulator.study.sequence.plots import draw_compared
+from simulator.study.sequence.time_axis import time_axis
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from simulator.study.texts import deg_text

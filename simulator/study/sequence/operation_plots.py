@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.sequence.time_axis import draw_defects, time_axis
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION, Panel
 
 if TYPE_CHECKING:
@@ -30,7 +31,12 @@ def operation_panels(columns: Columns) -> list[Panel]:
         Panel(
             "Exposure", "Exposure of each frame, and frames in which a rule acted.", lambda ax: _exposure(ax, columns)
         ),
-        Panel("Defective pixels", "Number of pixels in the map.", lambda ax: _defects(ax, columns), 2.2),
+        Panel(
+            "Defective pixels",
+            "Number of pixels in the map.",
+            lambda ax: draw_defects(ax, columns, "blemished_px"),
+            2.2,
+        ),
         Panel(
             "Magnitudes",
             "Measured minus catalogue magnitude: mean and rms of each frame.",
@@ -52,15 +58,7 @@ def _exposure(ax: Axes, columns: Columns) -> None:
     ax.minorticks_off()
     ax.set_ylabel("exposure [s]")
     ax.legend(loc="upper center", ncols=2)
-    _time(ax, t)
-
-
-def _defects(ax: Axes, columns: Columns) -> None:
-    t = columns["elapsed_s"]
-    ax.step(t, columns["blemished_px"], where="mid", color=BLUE, linewidth=1.2)
-    ax.set_ylim(bottom=0, top=1.2 * max(1, int(columns["blemished_px"].max())))
-    ax.set_ylabel("pixels")
-    _time(ax, t)
+    time_axis(ax, columns)
 
 
 def _magnitudes(ax: Axes, columns: Columns) -> None:
@@ -71,10 +69,4 @@ def _magnitudes(ax: Axes, columns: Columns) -> None:
     ax.errorbar(t[measured], mean, spread, fmt=".", color=BLUE, markersize=3, elinewidth=0.5)
     ax.axhline(0.0, color=INK, linewidth=0.8)
     ax.set_ylabel("error [mag]")
-    _time(ax, t)
-
-
-def _time(ax: Axes, t: NDArray[Any]) -> None:
-    step = float(t[1] - t[0]) if len(t) > 1 else 1.0
-    ax.set_xlim(float(t[0]) - step / 2.0, float(t[-1]) + step / 2.0)
-    ax.set_xlabel("time [s]")
+    time_axis(ax, columns)

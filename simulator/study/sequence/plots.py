@@ -12,13 +12,14 @@ from scipy.special import chdtri
 from simulator.study.sequence.calibration_plots import calibration_panels
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.operation_plots import operation_panels
+from simulator.study.sequence.time_axis import step_s, time_axis
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["MODE_COLOURS", "MODE_TITLES", "draw_compared", "draw_error", "draw_modes", "panels", "time_axis"]
+__all__ = ["MODE_COLOURS", "MODE_TITLES", "draw_compared", "draw_error", "draw_modes", "panels"]
 
 Columns = dict[str, NDArray[Any]]
 
@@ -89,7 +90,7 @@ def panels(columns: Columns) -> dict[str, list[Panel]]:
 def draw_modes(ax: Axes, columns: Columns) -> None:
     """Modes as a strip chart: one row per mode, with bars for its frames."""
     t, mode = columns["elapsed_s"], columns["mode"]
-    step = _step(columns)
+    step = step_s(columns)
     shown = [m for m in MODES if np.any(mode == m)]
     for row, name in enumerate(shown):
         mask = np.concatenate([[False], mode == name, [False]])
@@ -221,15 +222,3 @@ def _most(values: NDArray[Any]) -> NDArray[Any]:
     """Finite values without the extreme 3 %, such as those before the second frame."""
     finite = values[np.isfinite(values)]
     return np.asarray(np.percentile(finite, [3.0, 97.0])) if len(finite) else finite
-
-
-def time_axis(ax: Axes, columns: Columns) -> None:
-    """Limits and label of the axis of time."""
-    t, step = columns["elapsed_s"], _step(columns)
-    ax.set_xlim(float(t[0]) - step / 2.0, float(t[-1]) + step / 2.0)
-    ax.set_xlabel("time [s]")
-
-
-def _step(columns: Columns) -> float:
-    t = columns["elapsed_s"]
-    return float(t[1] - t[0]) if len(t) > 1 else 1.0
