@@ -2,8 +2,8 @@
 
     python -m benchmarks.frames [--case WORD ...] [--identifier NAME] [--n 200] [--workers 1] [--out FILE.md]
 
-The camera is that of ``scenarios/cubesat.yaml``; attitudes are uniformly random over the sky, and the tracker has no
-prior. Body rates are perpendicular to the boresight, where the trails are longest.
+The camera is that of ``scenarios/cubesat_ideal.yaml``; attitudes are uniformly random over the sky, and the tracker has
+no prior. Body rates are perpendicular to the boresight, where the trails are longest.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from startracker.tracker import StarTracker
 
 FloatArray = NDArray[np.float64]
 
-CUBESAT = Path(__file__).resolve().parent.parent / "scenarios" / "cubesat.yaml"
+CUBESAT = Path(__file__).resolve().parent.parent / "scenarios" / "cubesat_ideal.yaml"
 SEED = 4
 COSMIC_RAYS = 15
 DAY_S = 86_400.0
@@ -289,8 +289,8 @@ def main(arguments: list[str] | None = None) -> int:
     show(tables)
     if options.out is not None:
         notes = [
-            "Frames of `scenarios/cubesat.yaml`, lost in space: see `benchmarks/frames.py`. A solved frame is wrong",
-            f"when it is off by more than {WRONG_CROSS_PX:g} pixels across or {WRONG_ROLL_DEG:g}° about the boresight.",
+            "Frames of `scenarios/cubesat_ideal.yaml`, lost in space: see `benchmarks/frames.py`. A solved frame is",
+            f"wrong if it is off by more than {WRONG_CROSS_PX:g} px across or {WRONG_ROLL_DEG:g}° about the boresight.",
         ]
         write_markdown(options.out, "Frames", notes, tables)
     return int(any(row[-1] == SHORT for row in rates))

@@ -111,7 +111,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--trials", type=int, default=200)
     parser.add_argument("--counts", type=int, nargs="+", default=list(COUNTS))
-    parser.add_argument("--scenario", default="cubesat")
+    parser.add_argument("--scenario", default="cubesat_ideal")
     parser.add_argument("--set", dest="values", nargs="*", default=[])
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()

@@ -67,7 +67,7 @@ def _targets(timings: Mapping[str, Timing], processes: Mapping[str, float]) -> T
         if name in timings:
             row(what, timings[name].ms / share, limit, "ms")
 
-    timed("frame of `cubesat.yaml`, 1024², all detector effects", "cubesat_frame", 6.0)
+    timed("frame of `cubesat_ideal.yaml`, 1024², all detector effects", "cubesat_frame", 6.0)
     timed("200 Gaussian stars, photon and read noise, 12 bits, 1024²", "plain_frame", 4.0)
     if {"draw_boresight", "draw_galsim"} <= timings.keys():
         row(
@@ -77,7 +77,7 @@ def _targets(timings: Mapping[str, Timing], processes: Mapping[str, float]) -> T
             "×",
             least=True,
         )
-    timed("detection and centroids of a `cubesat.yaml` frame, 1024²", "detection_and_centroids", 1.5)
+    timed("detection and centroids of a `cubesat_ideal.yaml` frame, 1024²", "detection_and_centroids", 1.5)
     if "small_trial" in timings:
         small = timings["small_trial"]
         each = small.ms / small.extra["trials"]
@@ -96,7 +96,7 @@ def _targets(timings: Mapping[str, Timing], processes: Mapping[str, float]) -> T
         ("help_s", "`boresight --help`", 0.3, "s"),
         ("first_frame_s", "`boresight render cubesat`, a cold process", 5.0, "s"),
         ("run_megabytes", "memory of a process of a run", 400.0, "MB"),
-        ("report_megabytes", "the same of a run of `cubesat.yaml` with its report", 400.0, "MB"),
+        ("report_megabytes", "the same of a run of `cubesat_ideal.yaml` with its report", 400.0, "MB"),
     ):
         if name in processes:
             row(what, processes[name], limit, unit)

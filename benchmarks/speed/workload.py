@@ -1,7 +1,7 @@
 """What the speed benchmarks work on: skies of any number of stars, frames of any size, always the same ones.
 
 A sky is even: stars at random all over the sphere, as many to a field as asked for, all bright enough to be found
-(V = 2 to 6, growing in number as 10^(0.5 V)). The camera is that of `scenarios/cubesat.yaml`, its focal length in
+(V = 2 to 6, growing in number as 10^(0.5 V)). The camera is that of `scenarios/cubesat_ideal.yaml`, its focal length in
 proportion to the image's side, so that the field and the stars in it stay the same.
 """
 
@@ -22,7 +22,7 @@ from startracker.catalog import CATALOGS, StarCatalog
 
 SIZES = (512, 1024, 2048)
 STARS = (10, 100, 1000)
-CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat.yaml"
+CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat_ideal.yaml"
 PLAIN = (
     "detector.dark_current_e_s=0",
     "detector.dsnu=0",
@@ -68,7 +68,7 @@ def even_sky(in_field: int) -> StarCatalog:
 
 
 def even_scenario(size: int, in_field: int, *more: str) -> Scenario:
-    """`cubesat.yaml` with another size and an even sky, lost in space."""
+    """`cubesat_ideal.yaml` with another size and an even sky, lost in space."""
     name = f"even-{in_field}"
     CATALOGS.setdefault(name, partial(even_sky, in_field))
     return Scenario.load(
@@ -86,7 +86,7 @@ def even_scenario(size: int, in_field: int, *more: str) -> Scenario:
 
 
 def small_scenario() -> Scenario:
-    """`cubesat.yaml` on 512 × 512 pixels with a 16 mm f/1.4 lens, 10 degrees across, lost in space."""
+    """`cubesat_ideal.yaml` on 512 × 512 pixels with a 16 mm f/1.4 lens, 10 degrees across, lost in space."""
     lens = ("optics.focal_length_mm=16.1", "optics.aperture_mm=11.5")
     return Scenario.load(CUBESAT, ("detector.width=512", "detector.height=512", "tracker.prior=false", *lens))
 

@@ -65,7 +65,7 @@ def whole_sky() -> None:
 def moon_and_planets() -> None:
     """The Moon in the field of the cubesat's camera; the Moon and Venus through longer lenses."""
     figure, (left, middle, right) = plt.subplots(1, 3, figsize=(10.5, 3.8), layout="constrained")
-    renderer = Renderer(Scenario.load(ROOT / "scenarios" / "cubesat.yaml"))
+    renderer = Renderer(Scenario.load(ROOT / "scenarios" / "cubesat_ideal.yaml"))
     t_s = 6.1 * 86_400.0
     scene = scene_at(renderer, t_s)
     attitude = looking_at(body(scene, "Moon"), 30.0, (2.0, 1.5))
@@ -77,7 +77,7 @@ def moon_and_planets() -> None:
     ):
         telescope = Renderer(
             Scenario.load(
-                ROOT / "scenarios" / "cubesat.yaml",
+                ROOT / "scenarios" / "cubesat_ideal.yaml",
                 overrides=[
                     f"optics.focal_length_mm={focal_mm}",
                     f"optics.aperture_mm={aperture_mm}",
@@ -105,7 +105,7 @@ def earth_limb() -> None:
     """The day side's limb across the cubesat's field, and the terminator."""
     renderer = Renderer(
         Scenario.load(
-            ROOT / "scenarios" / "cubesat.yaml", overrides=["detector.exposure_s=1e-6", "tracker.prior=false"]
+            ROOT / "scenarios" / "cubesat_ideal.yaml", overrides=["detector.exposure_s=1e-6", "tracker.prior=false"]
         )
     )
     figure, axes = plt.subplots(1, 2, figsize=(8.4, 3.9), layout="constrained")

@@ -39,7 +39,7 @@ plt.rcParams.update({"font.size": 8, "figure.constrained_layout.use": True, "axe
 figure, axes = plt.subplots(2, 2, figsize=(10.0, 7.6))
 
 ax = axes[0, 0]
-plane = build_focal_plane(Scenario.load("cubesat", ["optics.calibration_residual.rms_px=0.05"]))
+plane = build_focal_plane(Scenario.load("cubesat_ideal", ["optics.calibration_residual.rms_px=0.05"]))
 nodes = np.stack([a.ravel() for a in np.meshgrid(*2 * [np.linspace(20.0, 1003.0, 19)])], axis=1)
 moved = plane.displacement.moved(nodes, np.zeros(len(nodes))) - nodes
 arrows = ax.quiver(*nodes.T, *moved.T, color=BLUE, angles="xy", scale_units="xy", scale=0.0016, width=0.003)
@@ -48,7 +48,7 @@ ax.set(xlim=(-130, 1153), ylim=(1153, -130), aspect="equal", xlabel="column [px]
 ax.set_title("calibration residual, 0.05 px rms", loc="left")
 
 ax = axes[0, 1]
-plane = build_focal_plane(Scenario.load("cubesat", ["optics.lateral_colour.corner_px=0.3"]))
+plane = build_focal_plane(Scenario.load("cubesat_ideal", ["optics.lateral_colour.corner_px=0.3"]))
 b_v = np.linspace(-0.3, 1.9, 200)
 wavelength_nm = plane.photometer.effective_wavelength_nm(b_v)
 for share, style in ((1.0, "-"), (0.5, "--")):
@@ -78,7 +78,9 @@ def errors_arcsec(keys: tuple[str, ...]) -> np.ndarray:
     """Errors about the camera's axes of frames of several cameras, (N, 3)."""
     found = []
     for seed in range(CAMERAS):
-        runner = TrialRunner(Scenario.load("cubesat", ["detector.hot_pixel_fraction=0", f"seed={seed + 1}", *keys]))
+        runner = TrialRunner(
+            Scenario.load("cubesat_ideal", ["detector.hot_pixel_fraction=0", f"seed={seed + 1}", *keys])
+        )
         for index in range(FRAMES):
             frame, truth = runner.renderer.frame(index)
             found.append(truth.attitude_at_tag.rotation_vector_to(solve_frame(runner.tracker, frame).attitude))
@@ -97,7 +99,7 @@ ax.set(
     xscale="log",
     xlim=(5e-4, 200.0),
     xlabel="rms turn of the attitude [arcsec]",
-    title="size of each alone in cubesat.yaml",
+    title="size of each alone in cubesat_ideal.yaml",
 )
 ax.legend(loc="lower right")
 

@@ -70,7 +70,7 @@ ax.legend()
 ax = axes[1, 0]
 ghost = ["pointing.target=Alp CMa", "pointing.target_offset_deg=[3, 2]", "pointing.error_deg=0", "sky.earth=false"]
 ghost += ["optics.ghosts=[{flux: 0.02, scale: -0.7, radius_px: 25}]"]
-frame, _ = Renderer(Scenario.load("cubesat", ghost)).frame(0)
+frame, _ = Renderer(Scenario.load("cubesat_ideal", ghost)).frame(0)
 image = frame.image.astype(float) - np.median(frame.image)
 ax.imshow(np.arcsinh(np.clip(maximum_filter(gaussian_filter(image, 1), 5) - 8, 0, None) / 10), cmap="Greys", vmax=4)
 ax.annotate("Sirius", (775, 680), color=BLUE)

@@ -1,4 +1,4 @@
-"""Draw docs/images/solved-frame.jpg: a frame of cubesat.yaml pointed at Orion, solved, with what is in the field.
+"""Draw docs/images/solved-frame.jpg: a frame of cubesat_ideal.yaml pointed at Orion, solved, with what is in the field.
 
 python docs/make_images/solved_frame.py
 """
@@ -20,7 +20,7 @@ IMAGES = Path(__file__).resolve().parents[1] / "images"
 
 
 def main() -> None:
-    scenario = Scenario.load("cubesat", ["detector.exposure_s=0.4"])
+    scenario = Scenario.load("cubesat_ideal", ["detector.exposure_s=0.4"])
     frame, truth = Renderer(scenario).frame(0, attitude=Attitude.from_radec_roll(83.6, -3.6, 0.0))
     tracker = StarTracker(frame.camera, magnitude_limit=6.5)
     solution = tracker.solve(

@@ -1,5 +1,5 @@
-"""Draw docs/images/coverage.png and design.png: sky coverage and design of cubesat.yaml; environment-particles.png and
-environment-ageing.png: the radiation environment of the gallery's `aged`.
+"""Draw docs/images/coverage.png and design.png: sky coverage and design of cubesat_ideal.yaml;
+environment-particles.png and environment-ageing.png: the radiation environment of the gallery's `aged`.
 
 python docs/make_images/studies.py
 """
@@ -22,7 +22,7 @@ IMAGES = Path(__file__).resolve().parents[1] / "images"
 
 
 def main() -> None:
-    cubesat = load_scenario("cubesat")
+    cubesat = load_scenario("cubesat_ideal")
     (IMAGES / "coverage.png").write_bytes(figure_bytes(coverage_map(coverage(cubesat)), dpi=100))
     trade = design(cubesat, Trade("optics.aperture_mm", 3.0, 30.0))
     (IMAGES / "design.png").write_bytes(figure_bytes(design_plot(Verified(trade, ())), dpi=100))

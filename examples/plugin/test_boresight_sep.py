@@ -13,7 +13,7 @@ SMALL = ["detector.width=384", "detector.height=384", "detector.pixel_pitch_um=1
 
 @pytest.fixture(scope="module")
 def frame_and_truth():
-    return Renderer(Scenario.load("cubesat", SMALL)).frame(0)
+    return Renderer(Scenario.load("cubesat_ideal", SMALL)).frame(0)
 
 
 def test_bright_stars_are_found_within_a_pixel(frame_and_truth):
@@ -34,7 +34,7 @@ def test_the_tracker_takes_it_by_name(frame_and_truth):
 
 
 def test_a_scenario_takes_it_by_name():
-    assert Scenario.load("cubesat", ["tracker.detector=sep"]).tracker.detector == "sep"
+    assert Scenario.load("cubesat_ideal", ["tracker.detector=sep"]).tracker.detector == "sep"
 
 
 def test_empty_and_bad_pixels():

@@ -61,7 +61,7 @@ if __name__ == "__main__":
     folder, trials, workers = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     folder.mkdir(exist_ok=True)
     done = engine.run_trials(
-        Scenario.load("cubesat"), trials, workers=workers, folder=folder, resume="resume" in sys.argv,
+        Scenario.load("cubesat_ideal"), trials, workers=workers, folder=folder, resume="resume" in sys.argv,
         progress=lambda finished, _: print(finished, flush=True),
     )  # fmt: skip
     checksum = done.store.write(folder / "trials.parquet", trials)

@@ -16,7 +16,7 @@ from PIL import Image
 from simulator.cli.application import run_application
 
 ROOT = Path(__file__).resolve().parents[2]
-CUBESAT = str(ROOT / "scenarios" / "cubesat.yaml")
+CUBESAT = str(ROOT / "scenarios" / "cubesat_ideal.yaml")
 TC211 = str(ROOT / "scenarios" / "tc211.yaml")  # small frames: quick
 
 

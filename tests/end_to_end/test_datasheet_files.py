@@ -24,7 +24,7 @@ REPRODUCED = [name for name in RESULT_FILES if name != "datasheet.timing.json"]
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     small = {"detector.width": 256, "detector.height": 256, "optics.focal_length_mm": 8.0, "optics.aperture_mm": 8.0}
-    return Scenario.load("scenarios/cubesat.yaml", small)
+    return Scenario.load("scenarios/cubesat_ideal.yaml", small)
 
 
 @pytest.fixture(scope="module")

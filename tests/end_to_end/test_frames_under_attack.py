@@ -1,6 +1,7 @@
 """Rendered frames with what may be in the way of the stars: each is still solved, lost in space, and never wrongly.
 
-The camera is that of ``scenarios/cubesat.yaml``, attitudes are random over the sky. An attitude is right within 3 px.
+The camera is that of ``scenarios/cubesat_ideal.yaml``, attitudes are random over the sky. An attitude is right within
+3 px.
 """
 
 import math
@@ -17,7 +18,7 @@ from simulator.scenario import Scenario
 from simulator.study.trials.trial import build_tracker
 from startracker import StarTracker
 
-CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat.yaml"
+CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat_ideal.yaml"
 FULL = 4095.0
 
 

@@ -23,7 +23,9 @@ B = "name: b, mounting: zenith, alignment_sigma_arcsec: 60, optics: {focal_lengt
 
 def pair(*overrides, a=A, b=B, frames=14):
     heads = f"heads=[{{{a}}}, {{{b}}}]"
-    return Scenario.load("cubesat", overrides=[*SMALL_CAMERA, GYRO, heads, f"sequence.frames={frames}", *overrides])
+    return Scenario.load(
+        "cubesat_ideal", overrides=[*SMALL_CAMERA, GYRO, heads, f"sequence.frames={frames}", *overrides]
+    )
 
 
 def rows_of(table):
@@ -178,7 +180,7 @@ def test_before_the_first_attitude_arrives():
 
 
 def test_one_camera_has_no_columns_of_heads():
-    scenario = Scenario.load("cubesat", overrides=[*SMALL_CAMERA, "sequence.frames=2"])
+    scenario = Scenario.load("cubesat_ideal", overrides=[*SMALL_CAMERA, "sequence.frames=2"])
     sequence = run_sequence(scenario)
     assert not any("head" in name or "scale" in name for name in sequence.columns)
     assert "heads" not in sequence.summary

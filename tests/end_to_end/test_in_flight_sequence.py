@@ -108,7 +108,7 @@ def test_off_leaves_no_trace():
         if not name.endswith("_ms"):
             assert plain.frames[name].equals(other.frames[name]), name
     images = [
-        render(Scenario.load("cubesat", overrides=keys), 3)[0].image
+        render(Scenario.load("cubesat_ideal", overrides=keys), 3)[0].image
         for keys in ([], ["optics.thermal.swing_period_s=77", "optics.thermal.expansion_ppm_k=5"])
     ]
     assert np.array_equal(*images)
@@ -118,7 +118,7 @@ def test_the_temperature_swings():
     """T = mean + swing sin(2π t / period): a quarter of a period after the epoch the field is scaled by the whole
     swing, three quarters after it by the opposite; half a period after it nothing is changed."""
     keys = ["optics.thermal.expansion_ppm_k=50", "optics.thermal.swing_k=10", "optics.thermal.swing_period_s=4000"]
-    scenario = Scenario.load("cubesat", overrides=keys)
+    scenario = Scenario.load("cubesat_ideal", overrides=keys)
     attitude = render(scenario, 0)[1].attitude
     scale = {}
     for quarter in range(4):

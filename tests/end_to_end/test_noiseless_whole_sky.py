@@ -24,7 +24,7 @@ def chain():
         "optics.distortion={k1: -0.08, k2: 0.02, p1: 0.001, p2: -0.0005}",
         "optics.principal_point_offset_px=[13.3, -21.8]",
     ]
-    renderer = Renderer(Scenario.load("cubesat", overrides).noiseless())
+    renderer = Renderer(Scenario.load("cubesat_ideal", overrides).noiseless())
     return renderer, build_tracker(renderer.scenario, renderer.camera)
 
 
@@ -64,7 +64,7 @@ def test_many_random_attitudes(chain):
 
 
 def test_the_sun_in_the_field_is_a_status():
-    renderer = Renderer(Scenario.load("cubesat", ["study.sampling=sky", "epoch=2026-03-20T14:46:00Z"]))
+    renderer = Renderer(Scenario.load("cubesat_ideal", ["study.sampling=sky", "epoch=2026-03-20T14:46:00Z"]))
     frame, truth = renderer.frame(0, attitude=Attitude.from_radec_roll(0.0, 0.0, 0.0))
     assert "sun" in truth.sources.kind
     solution = solve_frame(build_tracker(renderer.scenario, renderer.camera), frame)

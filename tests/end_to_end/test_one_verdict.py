@@ -9,7 +9,7 @@ from simulator.study.datasheet import run as datasheet_run
 from simulator.study.datasheet.plan import Amounts
 
 CAMERA = """\
-base: cubesat
+base: cubesat_ideal
 name: judged
 detector: {width: 256, height: 256}
 optics: {focal_length_mm: 8, aperture_mm: 5.6}

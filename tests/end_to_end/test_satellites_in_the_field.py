@@ -6,7 +6,7 @@ from simulator.study.sequence.run import run_sequence
 
 
 def test_ten_satellites_do_not_hide_the_stars():
-    none, ten = outcomes(Scenario.load("cubesat", ["tracker.prior=false"]), (0, 10), 12)
+    none, ten = outcomes(Scenario.load("cubesat_ideal", ["tracker.prior=false"]), (0, 10), 12)
     for row in (none, ten):
         assert row["solved"] == row["trials"]
         assert row["wrong"] == row["misidentified"] == 0

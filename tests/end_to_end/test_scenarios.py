@@ -75,7 +75,7 @@ def test_trials_of_a_year_stay_on_the_path():
 
 def test_few_stars_among_many_hot_pixels():
     """A lens of 4 mm leaves 5 to 20 stars beside 90 hot pixels, which set the tone unless they are known for such."""
-    scenario = Scenario.load("cubesat", overrides=["optics.aperture_mm=4", "tracker.prior=false", "seed=23"])
+    scenario = Scenario.load("cubesat_ideal", overrides=["optics.aperture_mm=4", "tracker.prior=false", "seed=23"])
     columns = run(scenario, trials=40).columns
     assert not columns["wrong"].any()
     # 96 % are solved in the long run (578 of 600), and 66 % where hot pixels are taken for sharp stars (395):
@@ -87,7 +87,7 @@ def test_few_stars_among_many_hot_pixels():
 def test_stars_drawn_out_by_a_few_pixels(psf_sigma_px):
     """5 to 9 px, with images sharper than a pixel too: such streaks were left out one by one, as what is no star."""
     rates = {"optics.psf.sigma_px": psf_sigma_px, "pointing.rate_deg_s": "[0.4, 0.2, 0.1]", "seed": 5}
-    scenario = Scenario.load("cubesat", overrides=[f"{key}={value}" for key, value in rates.items()])
+    scenario = Scenario.load("cubesat_ideal", overrides=[f"{key}={value}" for key, value in rates.items()])
     columns = run(scenario, trials=20).columns
     solved = columns["status"] == "solved"
     assert not columns["wrong"].any()

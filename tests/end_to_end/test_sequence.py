@@ -30,7 +30,7 @@ SMALL = [
 
 
 def small(*overrides):
-    return Scenario.load("cubesat", overrides=[*SMALL, *overrides])
+    return Scenario.load("cubesat_ideal", overrides=[*SMALL, *overrides])
 
 
 def rows_of(table):
@@ -227,14 +227,14 @@ def test_contradictions_are_told():
     ],
 )
 def test_options_that_do_not_fit(arguments, words, capsys, tmp_path):
-    assert _run(["run", "cubesat", *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert _run(["run", "cubesat_ideal", *arguments, "--out", str(tmp_path / "out")]) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
 def test_command_line(tmp_path):
     options = [text for override in SMALL for text in ("--set", override)]
-    command = [sys.executable, "-m", "simulator.cli", "run", "cubesat", *options]
+    command = [sys.executable, "-m", "simulator.cli", "run", "cubesat_ideal", *options]
     command += ["--sequence", "--frames", "3", "--step-s", "0.25", "--out", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -22,7 +22,10 @@ def test_a_wrong_name_is_told_with_those_that_there_are(capsys):
 def test_coverage_leaves_its_files_and_says_the_minimum(tmp_path, capsys):
     out = tmp_path / "c"
     assert (
-        _run(["study", "coverage", "cubesat", *SMALL, "--boresights", "300", "--sun-deg", "30", "--out", str(out)]) == 0
+        _run(
+            ["study", "coverage", "cubesat_ideal", *SMALL, "--boresights", "300", "--sun-deg", "30", "--out", str(out)]
+        )
+        == 0
     )
     summary = json.loads((out / "coverage.json").read_text())
     printed = capsys.readouterr().out
@@ -36,7 +39,7 @@ def test_coverage_leaves_its_files_and_says_the_minimum(tmp_path, capsys):
 def test_coverage_says_which_angle_excludes_everything(tmp_path, capsys):
     """A camera that looks down, and a baffle whose angles were left as they are by default."""
     down = ["--path", "--boresights", "20", "--set", "pointing.offset_deg=[90,0,0]"]
-    asked = ["study", "coverage", "cubesat", *SMALL, *down, "--set", "optics.baffle.pst=vane"]
+    asked = ["study", "coverage", "cubesat_ideal", *SMALL, *down, "--set", "optics.baffle.pst=vane"]
     assert _run([*asked, "--out", str(tmp_path / "c")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     earth = "excluded by the Earth, within 25° of its limb (optics.baffle.earth_exclusion_deg, the default)"
@@ -57,7 +60,7 @@ def test_design_answers_by_its_exit_status(tmp_path, capsys):
     common = [
         "study",
         "design",
-        "cubesat",
+        "cubesat_ideal",
         *SMALL,
         "--over",
         "optics.aperture_mm",
@@ -87,7 +90,7 @@ def test_design_answers_by_its_exit_status(tmp_path, capsys):
 
 def test_a_design_that_its_verification_contradicts_fails(tmp_path, capsys, monkeypatch):
     """Every frame is off by some hundred times what was predicted."""
-    command = ["study", "design", "cubesat", *SMALL, "--over", "optics.aperture_mm", "--boresights", "200"]
+    command = ["study", "design", "cubesat_ideal", *SMALL, "--over", "optics.aperture_mm", "--boresights", "200"]
     command += ["--from", "14", "--to", "18", "--steps", "2", "--stars", "2", "--availability", "0.2", "--verify", "20"]
     command += ["--set", "optics.focal_length_mm=20", "--set", "optics.aperture_mm=16"]
     assert _run([*command, "--out", str(tmp_path / "good")]) == 0
@@ -115,7 +118,7 @@ def test_the_budget_is_written_for_the_report(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("simulator.study.budget.error_budget.EFFECTS", EFFECTS[:2])  # each is a run of its own
     out = tmp_path / "b"
     small = [*SMALL, "--set", "optics.focal_length_mm=8", "--set", "optics.aperture_mm=6"]
-    assert _run(["study", "budget", "cubesat", *small, "--trials", "3", "--out", str(out)]) == 0
+    assert _run(["study", "budget", "cubesat_ideal", *small, "--trials", "3", "--out", str(out)]) == 0
     assert set(json.loads((out / "budget.json").read_text())) >= {"effects", "classes", "rms_deg", "scenario"}
     assert "Error budget of cubesat" in capsys.readouterr().out
     assert sorted(p.name for p in out.iterdir()) == ["budget.json", "budget.png"]
@@ -124,14 +127,14 @@ def test_the_budget_is_written_for_the_report(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["coverage", "cubesat", "--sun-deg", "200"],
-        ["coverage", "cubesat", "--boresights", "0"],
-        ["coverage", "cubesat", "--path", "--set", "study.sampling=sky"],
+        ["coverage", "cubesat_ideal", "--sun-deg", "200"],
+        ["coverage", "cubesat_ideal", "--boresights", "0"],
+        ["coverage", "cubesat_ideal", "--path", "--set", "study.sampling=sky"],
         ["coverage", "nowhere.yaml"],
-        ["design", "cubesat", "--over", "aperture", "--from", "1", "--to", "2"],
-        ["design", "cubesat", "--over", "field", "--from", "2", "--to", "1"],
-        ["design", "cubesat", "--over", "field", "--from", "1", "--to", "2", "--verify", "-1"],
-        ["budget", "cubesat", "--trials", "1"],
+        ["design", "cubesat_ideal", "--over", "aperture", "--from", "1", "--to", "2"],
+        ["design", "cubesat_ideal", "--over", "field", "--from", "2", "--to", "1"],
+        ["design", "cubesat_ideal", "--over", "field", "--from", "1", "--to", "2", "--verify", "-1"],
+        ["budget", "cubesat_ideal", "--trials", "1"],
     ],
 )
 def test_a_mistake_is_one_clear_line_and_leaves_nothing(arguments, tmp_path, monkeypatch, capsys):
@@ -143,7 +146,7 @@ def test_a_mistake_is_one_clear_line_and_leaves_nothing(arguments, tmp_path, mon
 
 def test_results_of_another_study_are_not_replaced(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("simulator.study.budget.error_budget.EFFECTS", EFFECTS[:1])
-    small = ["cubesat", *SMALL, "--set", "optics.focal_length_mm=8", "--set", "optics.aperture_mm=6"]
+    small = ["cubesat_ideal", *SMALL, "--set", "optics.focal_length_mm=8", "--set", "optics.aperture_mm=6"]
     over = ["--over", "optics.aperture_mm", "--from", "4", "--to", "8", "--steps", "2", "--verify", "0"]
     for name, options, amount, others in [
         ("coverage", ["--boresights", "40"], "40 boresights", [["--boresights", "30"], ["--snr", "9"]]),
@@ -158,7 +161,7 @@ def test_results_of_another_study_are_not_replaced(tmp_path, capsys, monkeypatch
             assert _run([*command, *other]) == 2
             told = capsys.readouterr().err
             assert len(told.strip().splitlines()) == 1
-            assert f"(scenario 'cubesat', seed 1, {amount}, boresight " in told
+            assert f"(scenario 'cubesat_ideal', seed 1, {amount}, boresight " in told
             assert told.strip().endswith("choose another --out, or replace them with --force")
             assert {path.name: path.read_bytes() for path in out.iterdir()} == before
         assert _run(command) == 0

@@ -59,7 +59,7 @@ def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path, monkeypat
             killed.append(min(pids.values()))
             os.kill(killed[0], signal.SIGKILL)
 
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     done = run_trials(scenario, TRIALS, dask=cluster, folder=tmp_path, progress=kill_a_worker)
     assert killed
     assert done.finished == TRIALS
@@ -72,7 +72,7 @@ def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path, monkeypat
 
 def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
-    plan = plan_sweep("cubesat", ["optics.aperture_mm=15,16"], trials=40)
+    plan = plan_sweep("cubesat_ideal", ["optics.aperture_mm=15,16"], trials=40)
     sweep = run_sweep(plan, tmp_path / "sweep", dask=cluster)
     assert sweep.trials.num_rows == 80
     assert not any(point["status"] == "refused" for point in sweep.table["points"])
@@ -95,7 +95,7 @@ def _fake_runner():
 
 
 def test_no_package_no_scheduler_and_no_version_in_common_are_one_line(monkeypatch):
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
     for address in ("tcp://127.0.0.1:1", "nonsense://x"):
         with pytest.raises(InputError, match="no scheduler responds") as told:

@@ -48,8 +48,8 @@ def runner():
 
 @pytest.fixture(scope="module")
 def undisturbed(runner, tmp_path_factory):
-    store = parts.PartStore(Scenario.load("cubesat"), None, resume=False)
-    fake = runner(Scenario.load("cubesat"))
+    store = parts.PartStore(Scenario.load("cubesat_ideal"), None, resume=False)
+    fake = runner(Scenario.load("cubesat_ideal"))
     result = run_block(fake.run, range(TRIALS))
     store.put(result.block, result.table)
     return store.table(TRIALS)
@@ -124,7 +124,7 @@ def test_a_worker_killed_costs_only_time_and_workers_end_with_their_parent(tmp_p
     while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
-    done = engine.run_trials(Scenario.load("cubesat"), TRIALS, folder=tmp_path, resume=True)
+    done = engine.run_trials(Scenario.load("cubesat_ideal"), TRIALS, folder=tmp_path, resume=True)
     assert 0 < done.taken_over < TRIALS
     done.store.write(tmp_path / "trials.parquet", TRIALS)
     assert_same(tmp_path / "trials.parquet", undisturbed)
@@ -163,7 +163,7 @@ def test_a_full_disk_is_one_clear_line_wherever_it_happens(tmp_path, undisturbed
     monkeypatch.setattr(parts, "MERGE_EVERY", 3)
     monkeypatch.setattr("simulator.study.trials.blocks.MOST_TRIALS", 60)
     monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page" * 1000)
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     whole = SmallDisk(1 << 40)
     monkeypatch.setattr(paths.os, "fdopen", whole.fdopen)
     wanted = run(scenario, TRIALS, out=tmp_path / "whole").summary
@@ -198,7 +198,7 @@ def test_a_full_disk_is_one_clear_line_wherever_it_happens(tmp_path, undisturbed
 
 def test_results_of_an_earlier_run_stand_until_the_new_ones_do(tmp_path, runner, monkeypatch):
     monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     run(scenario, 50, out=tmp_path)
     before = {name: (tmp_path / name).read_bytes() for name in RESULT_FILES}
     monkeypatch.setattr(run_module, "_write_pages", lambda *_: 1 / 0)
@@ -248,7 +248,7 @@ def test_a_part_damaged_under_way_is_named_set_aside_and_computed_again(tmp_path
                 data[rng.integers(len(data))] ^= 1 << rng.integers(8)
                 part.write_bytes(data)
 
-    study = run(Scenario.load("cubesat"), TRIALS, out=tmp_path, progress=harm)
+    study = run(Scenario.load("cubesat_ideal"), TRIALS, out=tmp_path, progress=harm)
     assert len(harmed) == 4
     assert [Path(note.split(": ")[0]).name for note in study.notes] == harmed
     assert all(note.endswith("its trials are computed again") for note in study.notes)
@@ -263,7 +263,7 @@ def test_a_disk_that_damages_everything_ends_in_one_line(tmp_path, runner, monke
             part.write_bytes(b"")
 
     with pytest.raises(BoresightError, match=r"damaged.*is the disk failing\?") as told:
-        run(Scenario.load("cubesat"), 20, out=tmp_path, progress=harm)
+        run(Scenario.load("cubesat_ideal"), 20, out=tmp_path, progress=harm)
     assert "\n" not in str(told.value)
 
 
@@ -274,14 +274,14 @@ def snapshot(folder):
 @pytest.mark.parametrize("resume", [True, False])
 def test_results_of_another_or_longer_run_are_not_replaced(tmp_path, runner, monkeypatch, resume):
     monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     run(scenario, 40, out=tmp_path)
     before = snapshot(tmp_path)
-    stands = re.escape("(scenario 'cubesat', seed 1, 40 trials, boresight ")
+    stands = re.escape("(scenario 'cubesat_ideal', seed 1, 40 trials, boresight ")
     others = {
         f"{tmp_path}: contains the results of another run {stands}": (scenario.with_values(seed=9), 40),
         f"a run with other values, options or input files {stands}": (
-            Scenario.load("cubesat", ["optics.aperture_mm=31"]),
+            Scenario.load("cubesat_ideal", ["optics.aperture_mm=31"]),
             40,
         ),
         f"contains the results of a longer run {stands}.* than the requested 20 trials": (scenario, 20),
@@ -309,7 +309,7 @@ def test_results_of_another_or_longer_run_are_not_replaced(tmp_path, runner, mon
 def test_an_interrupted_rerun_leaves_longer_results_in_place(tmp_path, runner, monkeypatch):
     monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
     monkeypatch.setattr("simulator.study.trials.blocks.MOST_TRIALS", 10)
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     run(scenario, 200, out=tmp_path)
     before = snapshot(tmp_path)
 
@@ -339,7 +339,7 @@ def test_a_changed_file_of_the_scenario_is_another_run(tmp_path, runner, monkeyp
         file = tmp_path / f"{key}.csv"
         file.write_text(first)
         folder = tmp_path / key.replace(".", "-")
-        scenario = Scenario.load("cubesat", [f"{key}={file}"])
+        scenario = Scenario.load("cubesat_ideal", [f"{key}={file}"])
         run(scenario, 5, out=folder)
         run(scenario, 6, out=folder, resume=True)
         file.write_text(second)
@@ -353,7 +353,7 @@ def test_a_changed_file_of_the_scenario_is_another_run(tmp_path, runner, monkeyp
 
 def test_a_folder_in_use_is_refused_and_a_dead_owner_is_not(tmp_path, runner, monkeypatch):
     monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
 
     def second(done, _):
         with pytest.raises(InputError, match=f"{tmp_path}: in use by process {os.getpid()} on this machine"):
@@ -379,7 +379,7 @@ def test_a_folder_in_use_is_refused_and_a_dead_owner_is_not(tmp_path, runner, mo
 def test_a_worker_with_another_file_runs_nothing(tmp_path, runner, monkeypatch, module):
     file = tmp_path / "qe.csv"
     file.write_text("wavelength_nm,qe\n400,0.5\n900,0.5\n")
-    scenario = Scenario.load("cubesat", [f"detector.quantum_efficiency={file}"])
+    scenario = Scenario.load("cubesat_ideal", [f"detector.quantum_efficiency={file}"])
     key = scenario_sha256(scenario)
     monkeypatch.setattr(module, "_local", threading.local())
     version = [__version__] if module is dask_pool else []

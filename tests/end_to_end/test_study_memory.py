@@ -17,7 +17,7 @@ from simulator.scenario import Scenario
 from simulator.study import run as module
 from simulator.study.run import run
 
-scenario = Scenario.load("cubesat")
+scenario = Scenario.load("cubesat_ideal")
 module._write_pages = lambda *_: [(_[3] / name).touch() for name in module.RESULT_FILES]
 for trials in (50_000, 200_000):
     most = 0

@@ -19,7 +19,7 @@ def test_short_sequence_of_the_cubesat(rate_deg_s):
     """At 2°/s a star's image is a streak of 8 px."""
     rate = f"[{0.5 * rate_deg_s}, {0.7 * rate_deg_s}, {-0.5 * rate_deg_s}]"
     scenario = Scenario.load(
-        "scenarios/cubesat.yaml",
+        "scenarios/cubesat_ideal.yaml",
         overrides=[
             "detector.width=512",
             "detector.height=512",

@@ -51,7 +51,7 @@ def channel(colour: str, index: int) -> np.ndarray:
     curve = 0.45 * np.exp(-0.5 * ((wavelength - centre) / width) ** 2)
     with tempfile.NamedTemporaryFile("w", suffix=".csv", delete=False) as file:
         file.write("wavelength_nm,qe\n" + "".join(f"{w:g},{q:.5f}\n" for w, q in zip(wavelength, curve, strict=True)))
-    scenario = Scenario.load("cubesat", CAMERA | {"detector.quantum_efficiency": file.name})
+    scenario = Scenario.load("cubesat_ideal", CAMERA | {"detector.quantum_efficiency": file.name})
     still = np.zeros(3)
     frame, _ = Renderer(scenario).frame(index, attitude=BORESIGHT, rate_camera_rad_s=still)
     return np.clip((frame.image.astype(float) - frame.offset_dn) / (frame.saturation_dn - frame.offset_dn), 0.0, 1.0)

@@ -104,7 +104,7 @@ def test_the_moon_of_a_frame_is_cut(height):
     """A scenario's Moon with the spacecraft where the limb runs over it: its electrons, and where they are."""
     base = ["study.sampling=mission_year", "pointing.target=Moon", "sky.magnitude_limit=-2", "sky.background=false"]
     scenario = Scenario.load(
-        "cubesat", [*base, "detector.width=256", "detector.height=256", "detector.exposure_s=0.001"]
+        "cubesat_ideal", [*base, "detector.width=256", "detector.height=256", "detector.exposure_s=0.001"]
     )
     renderer = Renderer(scenario)
     plane, camera = renderer.focal_plane, renderer.camera

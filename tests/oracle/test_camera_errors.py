@@ -87,7 +87,7 @@ def test_a_calibration_states_its_residual():
     """Twelve frames with centroids of 0.02 px: the calibration finds that they are 0.05 px further from any camera,
     less what the attitudes of the images take of it."""
     keys = [*QUIET, "sky.magnitude_limit=7", "optics.calibration_residual.rms_px=0.05"]
-    renderer, fields, rng = Renderer(Scenario.load("cubesat", keys)), [], np.random.default_rng(1)
+    renderer, fields, rng = Renderer(Scenario.load("cubesat_ideal", keys)), [], np.random.default_rng(1)
     for index in range(12):
         scene = renderer.scene(index)
         sources = renderer.expose(scene).sources
@@ -112,7 +112,7 @@ def test_lateral_colour_at_the_corner():
 
 def test_stars_are_displaced_by_their_colour():
     keys = [*QUIET, "optics.lateral_colour.corner_px=3"]
-    plain, coloured = (Renderer(Scenario.load("cubesat", k)) for k in (QUIET, keys))
+    plain, coloured = (Renderer(Scenario.load("cubesat_ideal", k)) for k in (QUIET, keys))
     before, after = (r.expose(r.scene(2)).sources for r in (plain, coloured))
     rows = np.array([after.id.tolist().index(number) for number in before.id.tolist()])
     camera = plain.focal_plane.true_camera
@@ -229,7 +229,7 @@ SMALL = [*QUIET, "detector.width=256", "detector.height=256"]
 def test_what_is_off_changes_no_byte():
     """Other parameters of an effect that is off, its order, reference or temperature, do not act."""
     idle = ["optics.calibration_residual.order=9", "optics.lateral_colour.reference_b_v=1"]
-    one, other = (Renderer(Scenario.load("cubesat", k)).frame(4) for k in (SMALL, [*SMALL, *OFF, *idle]))
+    one, other = (Renderer(Scenario.load("cubesat_ideal", k)).frame(4) for k in (SMALL, [*SMALL, *OFF, *idle]))
     assert one[0].image.tobytes() == other[0].image.tobytes()
     assert one[1].mean_electrons.tobytes() == other[1].mean_electrons.tobytes()
     assert np.array_equal(one[1].sources.xy, other[1].sources.xy)
@@ -246,7 +246,9 @@ def test_what_is_off_changes_no_byte():
 )
 def test_the_noise_of_a_frame_stays(key):
     """Dark pixels far from stars have the same value: no stream is disturbed; a frame is the same every time."""
-    one, other, again = (Renderer(Scenario.load("cubesat", k)).frame(4) for k in (SMALL, [*SMALL, key], [*SMALL, key]))
+    one, other, again = (
+        Renderer(Scenario.load("cubesat_ideal", k)).frame(4) for k in (SMALL, [*SMALL, key], [*SMALL, key])
+    )
     assert other[0].image.tobytes() == again[0].image.tobytes()
     assert one[0].camera == other[0].camera
     changed = np.abs(one[1].mean_electrons - other[1].mean_electrons)
@@ -259,7 +261,7 @@ def test_the_noise_of_a_frame_stays(key):
 # ---------------------------------------------------------------------- attitudes
 def displaced_and_not(keys, index):
     """True sources of a frame with and without displacement, paired by their numbers, and its camera."""
-    plain, moved = (Renderer(Scenario.load("cubesat", k)) for k in (QUIET, [*QUIET, *keys]))
+    plain, moved = (Renderer(Scenario.load("cubesat_ideal", k)) for k in (QUIET, [*QUIET, *keys]))
     scene = plain.scene(index)
     one, other = plain.expose(scene).sources, moved.expose(scene).sources
     bright = np.flatnonzero(one.is_star & (one.v_mag < 6.0) & plain.camera.contains(one.xy, -8.0))
@@ -275,7 +277,7 @@ def turn_of(runner_camera, attitude, sources, displacement):
 
 @pytest.fixture(scope="module")
 def tracker():
-    runner = TrialRunner(Scenario.load("cubesat", QUIET))
+    runner = TrialRunner(Scenario.load("cubesat_ideal", QUIET))
     return StarTracker(runner.renderer.camera, magnitude_limit=6.5)
 
 

@@ -65,7 +65,7 @@ def test_the_error_of_a_star_depends_on_its_number_alone():
 
 def test_an_attitude_is_turned_by_its_catalogue():
     """Exact positions of stars, equal weights: the turn of the least-squares fit to the wrong directions."""
-    scenario = Scenario.load("cubesat", [*QUIET, "tracker.catalogue_errors.position_mas=3000"])
+    scenario = Scenario.load("cubesat_ideal", [*QUIET, "tracker.catalogue_errors.position_mas=3000"])
     renderer = Renderer(scenario)
     tracker = build_tracker(scenario, renderer.camera)
     wrong = {number: k for k, number in enumerate(tracker.guide.catalog.id.tolist())}
@@ -95,7 +95,7 @@ def test_an_error_of_the_time_is_the_turn_during_it(tmp_path):
     """From the local level's 360° in an orbit: 0.1 s at 0.0595°/s are 21.4″ about the pitch axis. The image is the same
     to the byte."""
     late = [*SMALL, "detector.time_tag.offset_s=0.1"]
-    plain, tagged = (TrialRunner(Scenario.load("cubesat", keys)) for keys in (SMALL, late))
+    plain, tagged = (TrialRunner(Scenario.load("cubesat_ideal", keys)) for keys in (SMALL, late))
     (frame, truth), (other, its_truth) = (runner.renderer.frame(3) for runner in (plain, tagged))
     assert frame.image.tobytes() == other.image.tobytes()
     assert truth.attitude_at_tag is truth.attitude
@@ -116,7 +116,7 @@ def test_an_error_of_the_time_is_the_turn_during_it(tmp_path):
 
 def test_the_attitude_at_the_tag_is_that_of_the_motion():
     """Two frames of a spinning body: the attitude at a time stated late is that of a frame taken later."""
-    scenario = Scenario.load("cubesat", [*SMALL, "pointing.spin.rate_deg_s=3", "pointing.error_deg=0"])
+    scenario = Scenario.load("cubesat_ideal", [*SMALL, "pointing.spin.rate_deg_s=3", "pointing.error_deg=0"])
     late = scenario.changed({"detector.time_tag.offset_s": 0.25})
     now = Renderer(late).frame(0, at_s=0.0)[1]
     then = Renderer(scenario).frame(0, at_s=0.25)[1]
@@ -126,7 +126,9 @@ def test_the_attitude_at_the_tag_is_that_of_the_motion():
 
 
 def test_the_time_of_each_frame_has_its_jitter():
-    runner = Renderer(Scenario.load("cubesat", [*SMALL, "detector.time_tag.jitter_s=0.02", "sky.magnitude_limit=2"]))
+    runner = Renderer(
+        Scenario.load("cubesat_ideal", [*SMALL, "detector.time_tag.jitter_s=0.02", "sky.magnitude_limit=2"])
+    )
     errors = np.array([runner.frame(k)[1].time_tag_error_s for k in range(60)])
     assert len(set(errors)) == 60
     assert runner.frame(7)[1].time_tag_error_s == errors[7]
@@ -139,8 +141,8 @@ def test_a_sequence_is_behind_by_its_time():
     where a frame is missing and the filter predicts by its clock."""
     keys = ["sequence.frames=12", "sequence.step_s=0.5", "detector.time_tag.offset_s=0.2"]
     keys += ["sequence.dropouts=[{start_s: 4.5, duration_s: 0.4}]"]
-    columns = run_sequence(Scenario.load("cubesat", keys)).columns
-    rate_deg_s = 360.0 / Renderer(Scenario.load("cubesat")).scenes.orbit.period_s
+    columns = run_sequence(Scenario.load("cubesat_ideal", keys)).columns
+    rate_deg_s = 360.0 / Renderer(Scenario.load("cubesat_ideal")).scenes.orbit.period_s
     missing = columns["status"] == "no_frame"
     assert missing.sum() == 1
     # the noise about the boresight, 1.6″ rms of a frame, is less in the filter

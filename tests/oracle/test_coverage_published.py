@@ -28,7 +28,7 @@ from startracker.catalog import load_catalog
 @pytest.mark.parametrize("field", ["camera", "circle"])
 def test_the_mean_count_is_the_published_count_times_the_share_of_the_sky(field):
     stars = load_catalog("hipparcos")
-    shape = outline(build_camera(load_scenario("cubesat"))) if field == "camera" else circle(9.0)
+    shape = outline(build_camera(load_scenario("cubesat_ideal"))) if field == "camera" else circle(9.0)
     counts = count_stars(stars, shape, whole_sky(4000), np.array([4.0, 5.0, 6.0]))
     for k, published in enumerate((558, 1744, 5326)):
         here = counts[:, k]
@@ -59,7 +59,7 @@ WIDE = [
 
 
 def predicted_px(overrides, electrons):
-    sensitivity = build_sensitivity(load_scenario("cubesat", WIDE + overrides))
+    sensitivity = build_sensitivity(load_scenario("cubesat_ideal", WIDE + overrides))
     return sensitivity, sensitivity.sigma_rad(np.array([electrons]))[0] / sensitivity.camera.pixel_rad
 
 
@@ -82,5 +82,5 @@ def test_the_faintest_star_has_the_ratio_asked_for():
     assert sensitivity.least_electrons == pytest.approx(
         5.0 * 10.0 * math.sqrt(4 * math.pi * (SIGMA**2 + 1 / 12)), rel=0.01
     )
-    deeper = build_sensitivity(load_scenario("cubesat", [*WIDE, "detector.read_noise_e=10"]), snr=2.5)
+    deeper = build_sensitivity(load_scenario("cubesat_ideal", [*WIDE, "detector.read_noise_e=10"]), snr=2.5)
     assert deeper.magnitude_limit - sensitivity.magnitude_limit == pytest.approx(2.5 * math.log10(2.0), abs=1e-9)

@@ -148,7 +148,7 @@ SPENVIS = {
 def spenvis(request):
     """Doses of this package beside those of SPENVIS."""
     keys = ["orbit.altitude_km=550", f"orbit.inclination_deg={request.param}", "epoch=2023-01-01T00:00:00Z"]
-    orbit = build_orbit(Scenario.load("cubesat", keys))
+    orbit = build_orbit(Scenario.load("cubesat_ideal", keys))
     cases = {solar: Environment(trapped="ap8", solar=solar) for solar in ("min", "max")}
     means = {solar: orbit_radiation(orbit, case) for solar, case in cases.items()}
     years = 1825 / 365.25
@@ -202,7 +202,7 @@ def test_the_anomaly_is_as_strong_as_hubble_sees_it():
     arXiv:2006.00909), 540 km and 28.5°. Trapped protons and electrons behind 10 mm aluminium, at solar minimum and
     maximum, within the models' factor of 2."""
     keys = ["orbit.altitude_km=540", "orbit.inclination_deg=28.5", "epoch=2015-01-01T00:00:00Z"]
-    orbit = build_orbit(Scenario.load("cubesat", keys))
+    orbit = build_orbit(Scenario.load("cubesat_ideal", keys))
     t_s, positions = orbit_positions(orbit)
     peaks = []
     for solar in ("min", "max"):
@@ -254,7 +254,7 @@ def test_hot_pixels_of_hubble():
     enhanced by electric fields is not modelled."""
     keys = ["orbit.altitude_km=580", "orbit.inclination_deg=28.5", "epoch=2002-06-01T00:00:00Z"]
     environment = Environment(trapped="ap8", solar="max")
-    mean = orbit_radiation(build_orbit(Scenario.load("cubesat", keys)), environment)
+    mean = orbit_radiation(build_orbit(Scenario.load("cubesat_ideal", keys)), environment)
     a_day = dose(mean, environment, 10.0, 1.0 / 365.25).displacement_mev_g
     volume = 225.0 * 5.0
     interactions = a_day * 1e-6 * volume / coefficient("dose_per_interaction")

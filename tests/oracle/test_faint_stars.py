@@ -126,7 +126,7 @@ def share_squared(sigma):
 def test_the_grain_of_a_frame_is_that_of_campbell():
     """Mean n F and variance n F² Σ p² of a pixel, over the magnitudes, n stars in the solid angle of a pixel."""
     keys = [*DARK, "sky.magnitude_limit=-2", "sky.faint_magnitude_limit=11"]
-    renderer = Renderer(Scenario.load("cubesat", keys))
+    renderer = Renderer(Scenario.load("cubesat_ideal", keys))
     camera, plane = renderer.camera, replace(renderer.focal_plane, faint_sky=FaintSky(1, 10.0, 11.0))
     renderer.focal_plane = plane
     v_mag = draw_magnitudes((np.arange(4000) + 0.5) / 4000, 10.0, 11.0)
@@ -160,7 +160,7 @@ class OneStar:
 def test_they_appear_where_a_catalogue_star_would(aberration):
     """The aberration of a direction u is v/c less its part along u, to v²/c² (1e-8): some 20″ of the 45″ of a pixel."""
     keys = [*DARK, "sky.magnitude_limit=-2", f"sky.aberration={str(aberration).lower()}"]
-    renderer = Renderer(Scenario.load("cubesat", keys))
+    renderer = Renderer(Scenario.load("cubesat_ideal", keys))
     attitude = Attitude.from_radec_roll(80.0, 15.0, 30.0)
     star = radec_to_direction(np.radians([80.4]), np.radians([15.6]))[0]
     renderer.focal_plane = replace(renderer.focal_plane, faint_sky=OneStar(star))
@@ -176,12 +176,12 @@ def test_they_appear_where_a_catalogue_star_would(aberration):
 def test_they_are_background_and_not_truth():
     small = [*DARK, "detector.width=256", "detector.height=256"]
     faint = [*small, "sky.faint_magnitude_limit=12"]
-    plain, grainy, again = (Renderer(Scenario.load("cubesat", k)).frame(2) for k in (small, faint, faint))
+    plain, grainy, again = (Renderer(Scenario.load("cubesat_ideal", k)).frame(2) for k in (small, faint, faint))
     assert np.array_equal(plain[1].sources.id, grainy[1].sources.id)
     assert np.all(grainy[1].mean_electrons - plain[1].mean_electrons > -1e-9)
     assert grainy[1].mean_electrons.sum() > plain[1].mean_electrons.sum() + 1000.0
     assert grainy[0].image.tobytes() == again[0].image.tobytes()
-    off = Renderer(Scenario.load("cubesat", [*small, "sky.faint_magnitude_limit=null"])).frame(2)
+    off = Renderer(Scenario.load("cubesat_ideal", [*small, "sky.faint_magnitude_limit=null"])).frame(2)
     assert off[0].image.tobytes() == plain[0].image.tobytes()
 
 
@@ -204,6 +204,6 @@ def test_the_limit_is_beyond_that_of_the_catalogue():
     from startracker.errors import InputError
 
     with pytest.raises(InputError, match="faint_magnitude_limit"):
-        Scenario.load("cubesat", ["sky.faint_magnitude_limit=8"])
+        Scenario.load("cubesat_ideal", ["sky.faint_magnitude_limit=8"])
     with pytest.raises(InputError, match="faint_magnitude_limit"):
-        Scenario.load("cubesat", ["sky.faint_magnitude_limit=17"])
+        Scenario.load("cubesat_ideal", ["sky.faint_magnitude_limit=17"])

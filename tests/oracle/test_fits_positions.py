@@ -25,7 +25,7 @@ from startracker.catalog import load_catalog
 from startracker.observer import aberrate
 
 LENSES = {
-    "cubesat": (),
+    "cubesat_ideal": (),
     "ideal, 13 degrees": ("optics.distortion.k1=0",),
     "ideal, 60 degrees": ("optics.distortion.k1=0", "optics.focal_length_mm=4.9", "optics.aperture_mm=4"),
     "equidistant": ("optics.distortion.k1=0", "optics.projection=equidistant", "optics.focal_length_mm=9"),
@@ -34,7 +34,7 @@ LENSES = {
 
 def frame_of(*overrides, index=3):
     base = ("study.sampling=sky", "sky.magnitude_limit=7", "sky.planets=false")
-    renderer = Renderer(Scenario.load("cubesat", [*base, *overrides]))
+    renderer = Renderer(Scenario.load("cubesat_ideal", [*base, *overrides]))
     return renderer.frame(index)
 
 
@@ -130,7 +130,7 @@ def test_aberration_of_every_pixel(camera, velocity):
 
 def test_a_rolling_shutter_says_where_stars_are_rendered(tmp_path):
     turn = ("detector.shutter=rolling", "detector.line_time_us=20", "detector.exposure_s=0.002")
-    renderer = Renderer(Scenario.load("cubesat", ["study.sampling=sky", "sky.background=false", *turn]))
+    renderer = Renderer(Scenario.load("cubesat_ideal", ["study.sampling=sky", "sky.background=false", *turn]))
     frame, truth = renderer.frame(
         0, attitude=Attitude.from_radec_roll(84.0, 0.0, 10.0), rate_camera_rad_s=(0.0, 0.5, 0.0)
     )

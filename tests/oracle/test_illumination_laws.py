@@ -78,7 +78,7 @@ def test_even_sky_of_a_frame(lens):
     """Electrons of a constant sky in the pixels of a frame: photons a steradian times the solid angle of the pixel, by
     L'Huilier's theorem for the two triangles between the directions of its corners (1e-7 of rounding in them)."""
     options = {"sky.earth": "false", "sky.planets": "false", "sky.magnitude_limit": -1.4, "study.sampling": "sky"}
-    scenario = Scenario.load("cubesat", [f"{key}={value}" for key, value in (options | lens).items()])
+    scenario = Scenario.load("cubesat_ideal", [f"{key}={value}" for key, value in (options | lens).items()])
     renderer = Renderer(scenario)
     truth = renderer.frame(0)[1]
     assert len(truth.sources) == 0

@@ -25,7 +25,7 @@ RATES = (
 
 
 def states_of(overrides, target=None):
-    scenario = Scenario.load("cubesat", overrides=["sequence.step_s=0.7", *overrides])
+    scenario = Scenario.load("cubesat_ideal", overrides=["sequence.step_s=0.7", *overrides])
     orbit = build_orbit(scenario.orbit, scenario.epoch)
     rng = stream(scenario.seed, "pointing", 0)
     if target is not None:

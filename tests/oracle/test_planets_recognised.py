@@ -42,7 +42,7 @@ def test_directions_are_those_of_skyfield(year):
 )
 def test_a_planet_of_a_frame_is_recognised(planet, epoch):
     keys = (f"epoch={epoch}T00:00:00Z", f"pointing.target={planet}", "study.sampling=sky")
-    runner = TrialRunner(Scenario.load("cubesat", [*keys, "pointing.target_offset_deg=[-2.0, 1.5]"]))
+    runner = TrialRunner(Scenario.load("cubesat_ideal", [*keys, "pointing.target_offset_deg=[-2.0, 1.5]"]))
     for index in range(3):
         frame, truth = runner.renderer.frame(index)
         solution = runner.tracker.solve(frame)
@@ -118,7 +118,7 @@ def test_without_an_observer_there_are_no_bodies():
 
 def test_the_tracker_and_the_renderer_agree_on_planets():
     """Two paths through the ephemeris: the table of the tracker, and Skyfield with light deflection (at most 1.8″)."""
-    renderer = Renderer(Scenario.load("cubesat", ["study.sampling=orbit"]))
+    renderer = Renderer(Scenario.load("cubesat_ideal", ["study.sampling=orbit"]))
     scene = renderer.scene(0)
     found = body_directions(scene.observer)
     clock, sky = renderer.scenes.clock, renderer.scenario.sky

@@ -49,7 +49,7 @@ def observed(listed, tmp_path_factory):
 
 
 def scenario(listed, *keys):
-    return Scenario.load("cubesat", ["study.sampling=orbit", f"sky.satellites.file={listed}", *keys])
+    return Scenario.load("cubesat_ideal", ["study.sampling=orbit", f"sky.satellites.file={listed}", *keys])
 
 
 def skyfield_satellites(path):
@@ -298,7 +298,7 @@ def test_a_frame_with_satellites_elsewhere_is_the_same(observed, listed, shutter
     """No random number depends on them, and no pixel of a frame that they do not reach."""
     keys = (f"orbit.tle={observed[0].scenario.orbit.tle}", *shutter)
     with_list = Renderer(scenario(listed, *keys))
-    without = Renderer(Scenario.load("cubesat", ["study.sampling=orbit", *keys]))
+    without = Renderer(Scenario.load("cubesat_ideal", ["study.sampling=orbit", *keys]))
     counts = []
     for index in range(6):
         (frame, truth), (plain, plain_truth) = with_list.frame(index), without.frame(index)
@@ -423,9 +423,9 @@ def test_a_damaged_list_is_an_error_of_the_scenario_with_file_and_line(listed, t
     path = tmp_path / "damaged.tle"
     path.write_text("\n".join(lines))
     with pytest.raises(InputError, match=r"sky.satellites.file: .*damaged.tle:5: check digit"):
-        load_scenario("cubesat", [f"sky.satellites.file={path}"])
+        load_scenario("cubesat_ideal", [f"sky.satellites.file={path}"])
     path.write_text("\n")
     with pytest.raises(InputError, match=r"damaged.tle: has no elements"):
-        load_scenario("cubesat", [f"sky.satellites.file={path}"])
+        load_scenario("cubesat_ideal", [f"sky.satellites.file={path}"])
     with pytest.raises(InputError, match=r"missing.tle: cannot be read"):
-        load_scenario("cubesat", [f"sky.satellites.file={tmp_path / 'missing.tle'}"])
+        load_scenario("cubesat_ideal", [f"sky.satellites.file={tmp_path / 'missing.tle'}"])

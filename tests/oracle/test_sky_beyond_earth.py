@@ -141,11 +141,11 @@ def test_no_earth_in_the_field_where_there_is_none():
     assert around.max() > 10 * np.median(frame.image)
     assert np.median(frame.image) < 80  # black level 60, no lit surface
     with pytest.raises(InputError, match="within a million km it is no body of the sky"):
-        Renderer(Scenario.load("cubesat", overrides=["pointing.target=Earth"])).frame(0)
+        Renderer(Scenario.load("cubesat_ideal", overrides=["pointing.target=Earth"])).frame(0)
 
 
 def test_stars_behind_the_moon_and_its_shadow():
-    renderer = Renderer(Scenario.load("cubesat", overrides=LUNAR))
+    renderer = Renderer(Scenario.load("cubesat_ideal", overrides=LUNAR))
     scenes = renderer.scenes
     _, truth = renderer.frame(0)
     assert (truth.sources.electrons[truth.sources.is_star] > 0).sum() > 20
@@ -172,9 +172,9 @@ def test_stars_behind_the_moon_and_its_shadow():
 
 def test_a_near_surface_in_the_field_is_refused():
     overrides = [*LUNAR[:3], "pointing.mounting=forward"]  # the limb is 19° below the horizontal, and the camera tilts
-    Renderer(Scenario.load("cubesat", overrides=overrides)).frame(0)
+    Renderer(Scenario.load("cubesat_ideal", overrides=overrides)).frame(0)
     with pytest.raises(InputError, match=r"Moon, 71° in radius, is in the field; near surfaces .* are not rendered"):
-        Renderer(Scenario.load("cubesat", overrides=[*overrides, "pointing.offset_deg=[0,-25,0]"])).frame(0)
+        Renderer(Scenario.load("cubesat_ideal", overrides=[*overrides, "pointing.offset_deg=[0,-25,0]"])).frame(0)
 
 
 def test_local_level_refers_to_the_centre():
@@ -189,7 +189,7 @@ def test_local_level_refers_to_the_centre():
 def test_a_month_near_the_second_lagrange_point():
     """Seen from L2 the Earth is a body close to the Sun, 0.24° in radius, mostly dark, and the frame is solved as any
     other; the spacecraft stays near the Sun–Earth line for a month."""
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     earth, sun = (centre_state(name, build_scenes(scenario).clock, 0.0) for name in ("Earth", "Sun"))
     away = (earth.r_km - sun.r_km) / np.linalg.norm(earth.r_km - sun.r_km)
     # at rest in the frame that turns with the Earth, 200,000 km off the ecliptic

@@ -75,7 +75,7 @@ def test_spice_interpolates_between_frames_and_not_across_gaps(loaded):
 
 def test_files_of_a_sequence(tmp_path, loaded):
     scenario = Scenario.load(
-        "cubesat", ["sequence.frames=4", "sequence.step_s=5", "detector.width=512", "detector.height=512"]
+        "cubesat_ideal", ["sequence.frames=4", "sequence.step_s=5", "detector.width=512", "detector.height=512"]
     )
     sequence = run_sequence(scenario, out=tmp_path / "out", spice=True)
     names = {"trajectory.bsp", "true.bc", "estimated.bc", "camera.tsc", "camera.tf"}
@@ -103,17 +103,17 @@ def test_a_single_frame_has_no_trajectory(loaded):
 def test_without_the_package_it_is_said_before_the_run(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "spiceypy", None)
     with pytest.raises(InputError, match=r"boresight\[spice\]"):
-        run_sequence(Scenario.load("cubesat"), out=tmp_path / "out", spice=True)
+        run_sequence(Scenario.load("cubesat_ideal"), out=tmp_path / "out", spice=True)
     assert not (tmp_path / "out").exists()
 
 
 def test_a_scenario_flies_the_kernels_again(tmp_path):
     """Orbit and attitude from the kernels of a sequence: the same sky at its frames."""
-    first = Scenario.load("cubesat", ["sequence.frames=4", "sequence.step_s=5"])
+    first = Scenario.load("cubesat_ideal", ["sequence.frames=4", "sequence.step_s=5"])
     columns = run_sequence(first, out=tmp_path / "out", spice=True).columns
     given = {"orbit.spk": "trajectory.bsp", "pointing.attitude.ck": "true.bc", "pointing.attitude.sclk": "camera.tsc"}
     keys = [f"{key}={tmp_path / 'out' / name}" for key, name in given.items()]
-    again = Renderer(Scenario.load("cubesat", [*keys, "pointing.attitude.gives=camera", "pointing.error_deg=0"]))
+    again = Renderer(Scenario.load("cubesat_ideal", [*keys, "pointing.attitude.gives=camera", "pointing.error_deg=0"]))
     for k in range(4):
         scene = again.scene(at_s=float(columns["t_s"][k]))
         true = np.array([columns[f"true_q{axis}"][k] for axis in "xyzw"])

@@ -20,7 +20,7 @@ SMALL = ["detector.width=96", "detector.height=80"]
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A frame with its checksums, and one without: there the values themselves have to be checked."""
-    frame, truth = Renderer(Scenario.load("cubesat", SMALL)).frame(0)
+    frame, truth = Renderer(Scenario.load("cubesat_ideal", SMALL)).frame(0)
     file = tmp_path_factory.mktemp("frame") / "frame.fits"
     write_fits(file, frame, truth)
     data = file.read_bytes()

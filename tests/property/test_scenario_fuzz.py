@@ -10,7 +10,7 @@ from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.fields import all_keys
 from startracker.errors import InputWarning
 
-TEXT = (Path(__file__).resolve().parents[2] / "scenarios/cubesat.yaml").read_text(encoding="utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "scenarios/cubesat_ideal.yaml").read_text(encoding="utf-8")
 PIECES = ["\t", "  ", ":", ": ", "- ", "[", "]", "{", "}", "&a ", "*a", "!x ", "? ", "|", ">", "#", "'", '"', "%", "\\"]
 PIECES += ["---\n", "...\n", "~", ".nan", "-1", "1e999", "0x", "null", "true", "<<: ", "base: x.yaml\n", "name: a\n"]
 PIECES += ["\n", "\r", "\x00", "\ufeff", "\u2028", "é"]

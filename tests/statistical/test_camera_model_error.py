@@ -22,7 +22,7 @@ def normalised_errors(keys):
     nees = []
     for seed in range(CAMERAS):
         overrides = ["detector.hot_pixel_fraction=0", f"seed={seed + 50}", *keys]
-        runner = TrialRunner(Scenario.load("cubesat", overrides))
+        runner = TrialRunner(Scenario.load("cubesat_ideal", overrides))
         nees += [runner.run(k)["nees"] for k in range(FRAMES)]
     return np.array(nees)
 
@@ -40,7 +40,7 @@ def test_a_stated_error_makes_the_covariance_true():
 
 @pytest.fixture(scope="module")
 def frame_and_tracker():
-    runner = TrialRunner(Scenario.load("cubesat", ["pointing.error_deg=0.1"]))
+    runner = TrialRunner(Scenario.load("cubesat_ideal", ["pointing.error_deg=0.1"]))
     frame, truth = runner.renderer.frame(2)
     return frame, truth, runner.tracker
 

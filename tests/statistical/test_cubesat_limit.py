@@ -1,4 +1,4 @@
-"""What the tracker reaches on frames of `cubesat.yaml` against the Cramér–Rao bound; whether its covariance is true.
+"""What the tracker reaches on frames of `cubesat_ideal.yaml` against the Cramér–Rao bound; is its covariance true?
 
 The bound (`simulator.study.trials.bounds`, itself checked against brute force in tests/oracle/test_study_bounds.py) is
 of the star's image, flux, background and noise; so hot pixels, which spoil one star in 400, are switched off, and stars
@@ -37,7 +37,7 @@ def lonely(sources, width):
 def measured(centroider):
     """(error over bound)², V and phase of stars; error over bound of attitudes, (N, 3), and their normalised square."""
     overrides = ["detector.hot_pixel_fraction=0", f"tracker.centroider={centroider}", "seed=41"]
-    runner = TrialRunner(Scenario.load("scenarios/cubesat.yaml", overrides=overrides))
+    runner = TrialRunner(Scenario.load("scenarios/cubesat_ideal.yaml", overrides=overrides))
     tracker, squares, v_mag, phase, attitudes, normalised = runner.tracker, [], [], [], [], []
     for k in range(FRAMES):
         frame, truth = runner.renderer.frame(k)
@@ -84,6 +84,6 @@ def test_the_covariance_tells_the_truth():
 def test_the_normalised_error_is_inside_its_bounds_with_everything_on():
     """1,500 trials as the scenario has them, hot pixels and all: 95 % bounds 3 ± 0.124, met or missed by chance at the
     rim; three standard deviations are asked of a test, 0.19."""
-    runner = TrialRunner(Scenario.load("scenarios/cubesat.yaml", overrides=["seed=42"]))
+    runner = TrialRunner(Scenario.load("scenarios/cubesat_ideal.yaml", overrides=["seed=42"]))
     rows = [runner.run(k) for k in range(1500)]
     assert np.mean([row["nees"] for row in rows]) == pytest.approx(3.0, abs=3.0 * np.sqrt(6.0 / 1500))

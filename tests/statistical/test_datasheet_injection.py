@@ -53,7 +53,7 @@ GEOMETRY = scan_geometry(384, 384)
 def scanned(**changes: Any) -> tuple[Separated, np.ndarray]:
     """Classes in arcseconds, and the Cramér–Rao bound of the noise, arcseconds (frames, 3)."""
     values = QUIET | {name.replace("__", "."): value for name, value in changes.items()}
-    frames = DatasheetFrames(Scenario.load("scenarios/cubesat.yaml").changed(values))
+    frames = DatasheetFrames(Scenario.load("scenarios/cubesat_ideal.yaml").changed(values))
     scans = [frames.scan(field, GEOMETRY) for field in range(FIELDS)]
     passes = np.stack([scan["error_deg"] for scan in scans], axis=1) * 3600.0
     bound = np.concatenate([scan["noise_bound_deg"] for scan in scans]) * 3600.0
@@ -159,7 +159,7 @@ def test_decentring_is_thermo_elastic() -> None:
     changes the interpolation error of the centroids, without noise below 0.01 pixels or 0.9″, by a different amount
     for each of some 12 stars and 8 fields: 0.1″, and five times this."""
     values = QUIET | {"optics.thermal.decentring_um_k": (0.5, 0.0)}
-    scenario = Scenario.load("scenarios/cubesat.yaml").changed(values)
+    scenario = Scenario.load("scenarios/cubesat_ideal.yaml").changed(values)
     found = residuals(scenario, TaskRunner(), replace(QUICK, per_point=8))
     named = {(q.name, q.axis): q.estimate.value for q in found}
     assert abs(named["thermo_elastic_mean", "cross_y"] or 0.0) == pytest.approx(82.5, abs=0.5)
@@ -170,7 +170,7 @@ def test_time_tag_is_a_rate_error() -> None:
     """An error of the time by dt turns a camera at the rate ω by ω dt: 0.5°/s and 1 ms are 1.8″ about its axis. Trailed
     images without noise are measured to 0.01 pixels or 0.9″ each, some 12 a frame, and 8 frames: 0.1″; three times
     this for the mean."""
-    scenario = Scenario.load("scenarios/cubesat.yaml").changed(QUIET | {"detector.time_tag.offset_s": 1e-3})
+    scenario = Scenario.load("scenarios/cubesat_ideal.yaml").changed(QUIET | {"detector.time_tag.offset_s": 1e-3})
     made = DatasheetFrames(scenario).at_rate(0, 8, 0.5)
     assert made["right"].all()
     assert abs(float(np.mean(made["along_deg"]))) * 3600.0 == pytest.approx(1.8, abs=0.3)

@@ -24,7 +24,7 @@ RATES = (
 
 def fly(b, *overrides):
     heads = f"heads=[{{name: a, mounting: orbit_normal}}, {{{b}}}]"
-    return run_sequence(Scenario.load("cubesat", overrides=[*SMALL_CAMERA, GYRO, heads, *overrides]))
+    return run_sequence(Scenario.load("cubesat_ideal", overrides=[*SMALL_CAMERA, GYRO, heads, *overrides]))
 
 
 @pytest.mark.parametrize(("rho", "expected"), [(0.0, 1.0), (0.5, 0.6), (0.9, 0.105)])

@@ -23,7 +23,7 @@ QUIET_GYRO = [
 
 
 def runner_of(*overrides):
-    return SequenceRunner(Scenario.load("cubesat", overrides=[*SMALL_CAMERA, *overrides]))
+    return SequenceRunner(Scenario.load("cubesat_ideal", overrides=[*SMALL_CAMERA, *overrides]))
 
 
 def shaken(runner):
@@ -236,7 +236,7 @@ def test_filter_agrees_with_a_camera_that_shakes(gyro):
     for seed in (1, 2):
         overrides = "pointing.jitter.rms_arcsec=[20, 20, 20]", "sequence.frames=40", f"seed={seed}"
         overrides = [*SMALL_CAMERA, *overrides, f"sequence.gyro.use={gyro}"]
-        sequences.append(run_sequence(Scenario.load("cubesat", overrides=overrides)))
+        sequences.append(run_sequence(Scenario.load("cubesat_ideal", overrides=overrides)))
         assert sequences[-1].summary["solved"] == 40
     mean, number = pooled_nees(sequences)
     deviation = 4.0 * math.sqrt(6.0 / number)

@@ -45,8 +45,8 @@ MISMATCHES = {
 
 
 def normalised_errors(overrides, trials, seed):
-    """NEES (n,) of trials of cubesat.yaml."""
-    runner = TrialRunner(Scenario.load("scenarios/cubesat.yaml", overrides=[*overrides, f"seed={seed}"]))
+    """NEES (n,) of trials of cubesat_ideal.yaml."""
+    runner = TrialRunner(Scenario.load("scenarios/cubesat_ideal.yaml", overrides=[*overrides, f"seed={seed}"]))
     return np.array([runner.run(k)["nees"] for k in range(trials)])
 
 
@@ -214,7 +214,7 @@ def test_constant_coma_turns_no_attitude():
     """A lens in focus with 0.1 waves of coma: the mean error was 2.1 arcsec, 0.046 px, for positions by a fit to an
     image that no pixel had integrated. Allowed: the 0.005 px by which faint stars differ from those of the definition,
     and three standard errors."""
-    runner = TrialRunner(Scenario.load("scenarios/cubesat.yaml", overrides=[*CONSTANT_COMA, "seed=77"]))
+    runner = TrialRunner(Scenario.load("scenarios/cubesat_ideal.yaml", overrides=[*CONSTANT_COMA, "seed=77"]))
     errors = []
     for k in range(60):
         frame, truth = runner.renderer.frame(k)
@@ -228,7 +228,7 @@ def test_constant_coma_turns_no_attitude():
 def test_every_detected_guide_star_is_named():
     """One of 50 stars is a blend, pulled away by 0.3 to 2 px: named, and left out of the fit."""
     runner = TrialRunner(
-        Scenario.load("scenarios/cubesat.yaml", overrides=["seed=78", *MISMATCHES["defocus of 12 um"]])
+        Scenario.load("scenarios/cubesat_ideal.yaml", overrides=["seed=78", *MISMATCHES["defocus of 12 um"]])
     )
     detected = named = used = 0
     for k in range(20):

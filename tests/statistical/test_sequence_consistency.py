@@ -16,7 +16,7 @@ from simulator.study.sequence.run import run_sequence
 
 
 def sequence_of(*overrides):
-    return run_sequence(Scenario.load("cubesat", overrides=[*SMALL_CAMERA, *overrides]))
+    return run_sequence(Scenario.load("cubesat_ideal", overrides=[*SMALL_CAMERA, *overrides]))
 
 
 def test_errors_are_as_the_covariance_says():

@@ -22,7 +22,7 @@ SMALL = ["detector.width=256", "detector.height=256"]
 
 @pytest.fixture(scope="module")
 def renderer():
-    return Renderer(Scenario.load("cubesat", SMALL))
+    return Renderer(Scenario.load("cubesat_ideal", SMALL))
 
 
 def test_images_and_slopes_are_differences_of_images_of_the_renderer(renderer):
@@ -161,7 +161,7 @@ def test_paths_are_those_of_attitudes_that_turn(renderer):
 
 
 def test_rows_do_not_know_which_trials_ran_before():
-    scenario = Scenario.load("cubesat", SMALL)
+    scenario = Scenario.load("cubesat_ideal", SMALL)
     one, other = TrialRunner(scenario), TrialRunner(scenario)
     forward = {index: one.run(index) for index in (0, 1, 2, 3)}
     backward = {index: other.run(index) for index in (3, 1, 2, 0)}

@@ -33,15 +33,15 @@ def test_an_exposure_asked_for_is_that_of_the_scenario():
         "detector.cosmic_rays.rate_cm2_s=500",
         "pointing.jitter.rms_arcsec=[9,9,9]",
     ]
-    asked, truth = Renderer(Scenario.load("cubesat", keys)).frame(3, exposure_s=0.3)
-    alone, other = Renderer(Scenario.load("cubesat", [*keys, "detector.exposure_s=0.3"])).frame(3)
+    asked, truth = Renderer(Scenario.load("cubesat_ideal", keys)).frame(3, exposure_s=0.3)
+    alone, other = Renderer(Scenario.load("cubesat_ideal", [*keys, "detector.exposure_s=0.3"])).frame(3)
     assert np.array_equal(asked.image, alone.image)
     assert np.array_equal(truth.mean_electrons, other.mean_electrons)
     assert (asked.exposure_s, asked.parameters) == (alone.exposure_s, alone.parameters)
 
 
 def test_still_light_grows_with_the_exposure():
-    renderer = Renderer(Scenario.load("cubesat", [*SMALL, "sky.magnitude_limit=-2", "sky.planets=false"]))
+    renderer = Renderer(Scenario.load("cubesat_ideal", [*SMALL, "sky.magnitude_limit=-2", "sky.planets=false"]))
     scene = renderer.scene(0)
     rate_e_s, _ = renderer.focal_plane.background_rate_e_s(scene)
     for exposure_s in (0.1, 0.4):
@@ -52,9 +52,9 @@ def test_the_earth_may_be_in_the_way_of_random_attitudes():
     """Over the whole sky the Earth hides (1 − cos ρ)/2 = 27 % of directions from 800 km: with it some frames lose
     stars, without it, the default, none does."""
     base = [*SMALL, "study.sampling=sky", "orbit.altitude_km=800", "pointing.error_deg=0"]
-    assert Scenario.load("cubesat", base).study.sky_without_earth
-    without = Renderer(Scenario.load("cubesat", base))
-    with_earth = Renderer(Scenario.load("cubesat", [*base, "study.sky_without_earth=false"]))
+    assert Scenario.load("cubesat_ideal", base).study.sky_without_earth
+    without = Renderer(Scenario.load("cubesat_ideal", base))
+    with_earth = Renderer(Scenario.load("cubesat_ideal", [*base, "study.sky_without_earth=false"]))
     stars = np.array([[len(r.expose(r.scene(k)).sources) for k in range(60)] for r in (without, with_earth)])
     hidden = np.mean(stars[1] < stars[0])
     assert 0.27 - 0.17 < hidden < 0.27 + 0.25  # 3 σ of 60 trials, and fields that the limb crosses

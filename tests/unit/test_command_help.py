@@ -101,7 +101,7 @@ def test_an_interrupt_is_one_line(command, monkeypatch):
 
 
 def test_shells_complete_scenarios_and_keys():
-    assert complete_scenario("cub") == ["cubesat", "cubesat_flight"]
+    assert complete_scenario("cub") == ["cubesat", "cubesat_ideal"]
     assert "gallery/moon" in complete_scenario("gallery/")
     assert complete_key("optics.ap") == ["optics.aperture_mm="]
     environment = os.environ | {

@@ -26,7 +26,7 @@ SMALL = ["detector.width=256", "detector.height=256", "optics.focal_length_mm=8"
 
 @pytest.fixture(scope="module")
 def scenario():
-    return load_scenario("cubesat", SMALL)
+    return load_scenario("cubesat_ideal", SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_prediction_follows_the_exact_law_of_exposure_without_noise():
     # read noise, dark current and sky off, the camera held still: all errors go with 1/√exposure, and a
     # little faster for what read noise of 0.001 electrons hides of the image's far tail: information beyond 4 σ, 0.2 %
     quiet = load_scenario(
-        "cubesat",
+        "cubesat_ideal",
         [*SMALL, "detector.read_noise_e=0.001", "detector.dark_current_e_s=0", "sky.background=false",
          "detector.prnu=0", "detector.adc_bits=null", "detector.gain_e_per_dn=1", "detector.full_well_e=1e12",
          "pointing.target=[0, 0, 0]",
@@ -88,7 +88,7 @@ def test_prediction_follows_the_exact_law_of_exposure_without_noise():
 
 @pytest.mark.parametrize("projection", ["pinhole", "equidistant", "equisolid"])
 def test_the_field_is_the_one_asked_for(scenario, projection):
-    other = load_scenario("cubesat", [*SMALL, f"optics.projection={projection}", "optics.distortion={k1: 0}"])
+    other = load_scenario("cubesat_ideal", [*SMALL, f"optics.projection={projection}", "optics.distortion={k1: 0}"])
     assert build_camera(changed(other, "field", 24.0)).fov_deg == pytest.approx(24.0, abs=1e-9)
 
 

@@ -28,7 +28,7 @@ from startracker.trails.turn import fit_turn
 
 FloatArray = NDArray[np.float64]
 
-CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat.yaml"
+CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat_ideal.yaml"
 SIGMA, NOISE, SIZE = 0.9, 12.0, 512
 
 

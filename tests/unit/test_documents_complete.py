@@ -110,7 +110,7 @@ def test_every_column_of_the_results_is_described():
     from simulator.study.run import run
 
     small = ["detector.width=200", "detector.height=200", "detector.pixel_pitch_um=28"]
-    study = run(Scenario.load("cubesat", small), trials=2)
+    study = run(Scenario.load("cubesat_ideal", small), trials=2)
     page = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
     described = _described(page)
     assert set(study.columns) <= described, sorted(set(study.columns) - described)

@@ -26,7 +26,7 @@ AP8 = ["environment.trapped=ap8", "environment.galactic=true"]
 
 
 def load(*keys):
-    return Scenario.load("cubesat", [*SMALL, *keys])
+    return Scenario.load("cubesat_ideal", [*SMALL, *keys])
 
 
 def test_coefficients_have_sources_and_ordered_ranges():

@@ -70,7 +70,7 @@ def test_files_of_the_command(tmp_path, capsys):
 
 def test_a_scenario_without_radiation_is_refused():
     with pytest.raises(InputError, match=r"add --set environment\.trapped=ap8"):
-        survey(Scenario.load("cubesat"))
+        survey(Scenario.load("cubesat_ideal"))
 
 
 def test_the_document_lists_the_coefficients():

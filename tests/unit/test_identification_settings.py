@@ -105,7 +105,7 @@ def test_max_stars_is_kept_to(kind):
 # ---------------------------------------------------------------------- scenarios
 def test_keys_that_nothing_reads_are_told_with_their_line(tmp_path):
     file = tmp_path / "mine.yaml"
-    file.write_text("base: cubesat\ntracker:\n  identification:\n    vote_number: 3\n    min_stars: 4\n")
+    file.write_text("base: cubesat_ideal\ntracker:\n  identification:\n    vote_number: 3\n    min_stars: 4\n")
     with pytest.warns(InputWarning) as told:
         load_scenario(file)
     assert [str(one.message) for one in told] == [
@@ -114,7 +114,7 @@ def test_keys_that_nothing_reads_are_told_with_their_line(tmp_path):
 
 
 def test_an_option_that_nothing_reads_is_one_line_of_the_command(capsys):
-    assert _run(["show", "cubesat", "--set", "tracker.identification.max_stars=9"]) == 0
+    assert _run(["show", "cubesat_ideal", "--set", "tracker.identification.max_stars=9"]) == 0
     told = capsys.readouterr().err
     assert told == "warning: --set tracker.identification.max_stars: not used by the identifier 'adaptive'\n"
 
@@ -122,7 +122,7 @@ def test_an_option_that_nothing_reads_is_one_line_of_the_command(capsys):
 def test_what_is_shown_is_loaded_without_a_warning():
     scenario = Scenario.load("oedipus")
     assert Scenario.parse(scenario.to_yaml()) == scenario
-    plain = Scenario.load("cubesat")
+    plain = Scenario.load("cubesat_ideal")
     assert Scenario.parse(plain.to_yaml()) == plain
 
 

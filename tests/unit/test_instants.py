@@ -26,7 +26,7 @@ def numbers(instant):
     return [np.asarray(column).tobytes() for column in columns]
 
 
-@pytest.mark.parametrize("name", ["cubesat", "oedipus"])
+@pytest.mark.parametrize("name", ["cubesat_ideal", "oedipus"])
 def test_a_trial_has_the_same_numbers_in_any_order(name):
     scenario = Scenario.load(name)
     forwards, backwards = build_scenes(scenario), build_scenes(scenario)
@@ -37,7 +37,7 @@ def test_a_trial_has_the_same_numbers_in_any_order(name):
 
 @pytest.mark.parametrize("propagator", ["j2", "sgp4"])
 def test_a_block_is_its_instants_one_by_one(propagator):
-    scenario = Scenario.load("cubesat", overrides=[f"orbit.propagator={propagator}"])
+    scenario = Scenario.load("cubesat_ideal", overrides=[f"orbit.propagator={propagator}"])
     orbit = build_scenes(scenario).orbit
     t_s = np.linspace(0.0, 3e7, 17)
     block = Instants.of(orbit, t_s, scenario.sky)
@@ -58,7 +58,7 @@ def test_a_block_is_its_instants_one_by_one(propagator):
 
 
 def test_the_shadow_is_that_of_the_penumbra_drawn():
-    scenario = Scenario.load("cubesat", overrides=["orbit.ltan_h=12", "sky.earth=true"])
+    scenario = Scenario.load("cubesat_ideal", overrides=["orbit.ltan_h=12", "sky.earth=true"])
     orbit = build_scenes(scenario).orbit
     block = Instants.of(orbit, np.linspace(0.0, orbit.period_s, 400), scenario.sky)
     free = []
@@ -75,7 +75,7 @@ def test_the_shadow_is_that_of_the_penumbra_drawn():
 
 
 def test_planned_times_are_those_of_the_frames():
-    scenario = Scenario.load("cubesat")
+    scenario = Scenario.load("cubesat_ideal")
     planned, alone = build_scenes(scenario), build_scenes(scenario)
     planned.plan([10.0, 20.0, 30.0])
     stream = np.random.default_rng
@@ -88,5 +88,5 @@ def test_planned_times_are_those_of_the_frames():
 
 
 def test_without_planets_there_are_none():
-    scenario = Scenario.load("cubesat", overrides=["sky.planets=false"])
+    scenario = Scenario.load("cubesat_ideal", overrides=["sky.planets=false"])
     assert len(build_scenes(scenario).instant(3).bodies) == 0

@@ -18,7 +18,7 @@ from simulator.study.sequence.frames import SequenceRunner
 from startracker.errors import InputError
 
 ARCSEC = math.pi / 648000.0
-EPOCH = load_scenario("cubesat").epoch
+EPOCH = load_scenario("cubesat_ideal").epoch
 WHEEL_HZ, AMPLITUDE = 35.0, (8.0, 5.0, 20.0)
 STEP_S = 1.0 / WHEEL_HZ / 20.0
 
@@ -75,7 +75,7 @@ def test_body_axes(tmp_path):
 
 def scenario(path, *overrides):
     small = ["detector.width=256", "detector.height=256", "pointing.error_deg=0"]
-    return load_scenario("cubesat", [*small, f"pointing.jitter.series={path}", *overrides])
+    return load_scenario("cubesat_ideal", [*small, f"pointing.jitter.series={path}", *overrides])
 
 
 def test_a_sequence_follows_the_series_in_time(tmp_path):
@@ -89,7 +89,9 @@ def test_a_sequence_follows_the_series_in_time(tmp_path):
         np.testing.assert_allclose(state.camera.rotation_vector_to(camera) / ARCSEC, mean, rtol=0, atol=1e-3)
     frame, truth = runner._take(2, runner.states[2], 1.4, None)
     np.testing.assert_allclose(truth.attitude.rotation_vector_to(runner.cameras[2]), 0.0, atol=1e-14)
-    still = Renderer(load_scenario("cubesat", ["detector.width=256", "detector.height=256", "pointing.error_deg=0"]))
+    still = Renderer(
+        load_scenario("cubesat_ideal", ["detector.width=256", "detector.height=256", "pointing.error_deg=0"])
+    )
     image, _ = still.frame(2, at_s=runner.states[2].t_s, attitude=truth.attitude)
     assert (frame.image != image.image).any()
     late = scenario(path, "sequence.frames=7", "sequence.step_s=0.7")

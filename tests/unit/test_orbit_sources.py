@@ -282,7 +282,7 @@ def test_several_objects_need_a_choice(tmp_path):
 )  # fmt: skip
 def test_contradictions_of_the_section(overrides, message):
     with pytest.raises(InputError, match=message):
-        Scenario.load("cubesat", overrides=overrides)
+        Scenario.load("cubesat_ideal", overrides=overrides)
 
 
 def test_files_are_found_beside_the_scenario(tmp_path):
@@ -290,7 +290,7 @@ def test_files_are_found_beside_the_scenario(tmp_path):
     folder.mkdir()
     (folder / "craft.oem").write_text(oem())
     scenario = folder / "s.yaml"
-    scenario.write_text("base: cubesat\norbit: {oem: craft.oem}\nstudy: {sampling: span}\n")
+    scenario.write_text("base: cubesat_ideal\norbit: {oem: craft.oem}\nstudy: {sampling: span}\n")
     loaded = load_scenario(scenario)
     assert loaded.files()["orbit.oem"] == folder / "craft.oem"
     assert "orbit of craft.oem" in loaded.orbit.described

@@ -37,7 +37,7 @@ LONGEST = 300
 
 @pytest.fixture(scope="module")
 def scenario():
-    return Scenario.load("cubesat")
+    return Scenario.load("cubesat_ideal")
 
 
 @pytest.fixture(scope="module")
@@ -340,14 +340,15 @@ def test_studies_as_tables(study, monkeypatch):
 
 def test_scenarios_take_quantities(scenario):
     changed = {"optics.aperture_mm": 2 * u.cm, "detector.exposure_s": 150 * u.ms, "detector.width": np.int64(512)}
-    loaded = Scenario.load("cubesat", changed)
+    loaded = Scenario.load("cubesat_ideal", changed)
     assert (loaded.optics.aperture_mm, loaded.detector.exposure_s, loaded.detector.width) == (20.0, 0.15, 512)
     assert scenario.changed(changed) == loaded
     assert (
-        Scenario.load("cubesat", ["optics.aperture_mm=20", "detector.exposure_s=0.15", "detector.width=512"]) == loaded
+        Scenario.load("cubesat_ideal", ["optics.aperture_mm=20", "detector.exposure_s=0.15", "detector.width=512"])
+        == loaded
     )
     with pytest.raises(InputError, match=r"^optics\.aperture_mm: is in 's'; it must be in mm[^\n]*$"):
-        Scenario.load("cubesat", {"optics.aperture_mm": 2 * u.s})
+        Scenario.load("cubesat_ideal", {"optics.aperture_mm": 2 * u.s})
     with pytest.raises(InputError, match=r"optics\.aperture_mm is in 's'; it must be in mm"):
         scenario.changed({"optics.aperture_mm": 2 * u.s})
 

@@ -58,7 +58,7 @@ def summary_of(columns, **more):
 
 @pytest.fixture(scope="module")
 def scenario():
-    return Scenario.load("cubesat", SMALL)
+    return Scenario.load("cubesat_ideal", SMALL)
 
 
 def test_answer_of_a_study_that_meets_its_specification(scenario):
@@ -220,7 +220,7 @@ def test_report_command_writes_both_again_and_refuses_what_is_no_run(tmp_path, c
             main()
         return stop.value.code
 
-    run(Scenario.load("cubesat", SMALL), trials=3, out=tmp_path / "out")
+    run(Scenario.load("cubesat_ideal", SMALL), trials=3, out=tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_bytes()
     assert boresight("report", tmp_path / "out", "--pdf") == 0
     assert (tmp_path / "out" / "report.html").read_bytes() == page

@@ -15,7 +15,7 @@ from simulator.cli.scenario_commands import schema, show, validate
 from simulator.scenario import Scenario, ScenarioError
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = ["sunsat", "cubesat", "tc211"]
+SHIPPED = ["sunsat", "cubesat", "cubesat_ideal", "tc211"]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -24,7 +24,7 @@ def test_shipped_scenarios_name_what_exists(name):
 
 
 def test_validate_prints_a_line_for_each(capsys):
-    good = ROOT / "scenarios/cubesat.yaml"
+    good = ROOT / "scenarios/cubesat_ideal.yaml"
     assert validate([good, good]) == 0
     assert capsys.readouterr().out == f"{good}: ok\n" * 2
 
@@ -37,10 +37,10 @@ def test_validate_repeats_what_is_unphysical_and_allowed(capsys):
 def test_validate_goes_on_after_a_bad_file(tmp_path, capsys):
     bad = tmp_path / "bad.yaml"
     bad.write_text("name: x\nsed: 1\n")
-    assert validate([bad, ROOT / "scenarios/cubesat.yaml"]) == 2
+    assert validate([bad, ROOT / "scenarios/cubesat_ideal.yaml"]) == 2
     printed = capsys.readouterr()
     assert f"{bad}:2:1: sed: unknown key; did you mean 'seed'?" in printed.err
-    assert printed.out.endswith("cubesat.yaml: ok\n")
+    assert printed.out.endswith("cubesat_ideal.yaml: ok\n")
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -55,7 +55,7 @@ def test_show_loads_again_to_the_same(name, tmp_path, capsys):
 
 
 def test_show_of_a_mistake(capsys):
-    assert show("cubesat", ["study.trails=7"]) == 2
+    assert show("cubesat_ideal", ["study.trails=7"]) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err == "--set study.trails: unknown key; did you mean 'study.trials'?\n"
@@ -69,7 +69,7 @@ def test_schema_is_json(capsys):
 @pytest.mark.parametrize("path", sorted(NAME_CHECKS))
 def test_unknown_names_are_told_where_they_stand(path):
     with pytest.raises(ScenarioError) as caught:
-        load_scenario("cubesat", [f"{path}=nosuchthing"])
+        load_scenario("cubesat_ideal", [f"{path}=nosuchthing"])
     (line,) = str(caught.value).splitlines()
     assert line.startswith(f"--set {path}: ")
     assert "nosuchthing" in line
@@ -78,11 +78,11 @@ def test_unknown_names_are_told_where_they_stand(path):
 def test_missing_curve_file_is_told(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ScenarioError, match=r"^--set optics\.transmission: .*glass\.csv"):
-        load_scenario("cubesat", ["optics.transmission=glass.csv"])
+        load_scenario("cubesat_ideal", ["optics.transmission=glass.csv"])
 
 
 def test_a_quaternion_is_a_mounting():
-    scenario = load_scenario("cubesat", ["pointing.mounting=[0, 0, 0, 1]"])
+    scenario = load_scenario("cubesat_ideal", ["pointing.mounting=[0, 0, 0, 1]"])
     assert scenario.pointing.mounting == (0.0, 0.0, 0.0, 1.0)
 
 
@@ -112,5 +112,5 @@ def test_show_of_an_aged_camera_has_derived_values(tmp_path, capsys):
     warmth = 2.0 ** ((detector.temperature_c - detector.dark_reference_c) / detector.dark_doubling_c)
     expected = (damage.dark_current_e_s + damage.displacement.mean_e_s) * warmth
     assert means[0] - means[1] == pytest.approx(expected, rel=0.02)
-    assert show("cubesat") == 0
+    assert show("cubesat_ideal") == 0
     assert "Derived" not in capsys.readouterr().out

@@ -10,7 +10,7 @@ from simulator.scenario.errors import ScenarioError
 from simulator.scenario.heads import scenario_of_head
 from simulator.scenario.output import json_schema
 
-HEADS = """base: cubesat
+HEADS = """base: cubesat_ideal
 name: pair
 heads:
   - name: a

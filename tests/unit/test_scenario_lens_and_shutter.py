@@ -6,7 +6,7 @@ import pytest
 
 from simulator.scenario import Scenario, ScenarioError
 
-CUBESAT = Path(__file__).resolve().parents[2] / "scenarios/cubesat.yaml"
+CUBESAT = Path(__file__).resolve().parents[2] / "scenarios/cubesat_ideal.yaml"
 GHOSTS = "optics.ghosts=[{flux: 1e-4, scale: -0.6, radius_px: 12}, {flux: 1e-5, scale: 2, radius_px: 30}]"
 
 

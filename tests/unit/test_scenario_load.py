@@ -36,7 +36,7 @@ def test_shipped_scenarios_load_and_come_back(path):
 
 
 def test_three_scenarios_ship():
-    assert {"sunsat", "cubesat", "tc211"} <= {p.stem for p in SHIPPED}
+    assert {"sunsat", "cubesat_ideal", "tc211"} <= {p.stem for p in SHIPPED}
     assert find_scenario("sunsat").read_text() == (ROOT / "scenarios/sunsat.yaml").read_text()
 
 
@@ -158,8 +158,8 @@ def test_a_file_of_a_shipped_name_goes_first(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("sunsat").write_text(GOOD)
     assert Scenario.load("sunsat").name == "demo"
-    assert Scenario.load("cubesat").name == "cubesat"
-    assert os.path.isabs(find_scenario("cubesat"))
+    assert Scenario.load("cubesat_ideal").name == "cubesat_ideal"
+    assert os.path.isabs(find_scenario("cubesat_ideal"))
 
 
 def test_frozen():
@@ -187,7 +187,7 @@ def test_equality_hash_pickle_and_fingerprint():
 
 
 def test_noiseless_leaves_the_optics_alone():
-    s = Scenario.load(ROOT / "scenarios/cubesat.yaml")
+    s = Scenario.load(ROOT / "scenarios/cubesat_ideal.yaml")
     quiet = s.noiseless()
     assert quiet.optics == s.optics
     assert quiet.path == s.path

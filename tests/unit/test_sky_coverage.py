@@ -100,7 +100,7 @@ def test_attitudes_have_the_roll_they_tell():
     ],
 )
 def test_the_path_is_that_of_the_trials(overrides):
-    scenario = load_scenario("cubesat", ["pointing.error_deg=0", "sky.magnitude_limit=3", *overrides])
+    scenario = load_scenario("cubesat_ideal", ["pointing.error_deg=0", "sky.magnitude_limit=3", *overrides])
     looks = along_path(scenario, 5)
     scenes = build_scenes(scenario)
     for index in (0, 4):
@@ -110,7 +110,7 @@ def test_the_path_is_that_of_the_trials(overrides):
 
 
 def test_exclusion_is_that_of_the_bodies_places():
-    scenario = load_scenario("cubesat", ["pointing.error_deg=0", "sky.magnitude_limit=3"])
+    scenario = load_scenario("cubesat_ideal", ["pointing.error_deg=0", "sky.magnitude_limit=3"])
     looks = along_path(scenario, 40, Exclusion(sun_deg=115.0, moon_deg=90.0))
     scenes = build_scenes(scenario)
     seen = {"sun": 0, "moon": 0}
@@ -127,7 +127,7 @@ def test_exclusion_is_that_of_the_bodies_places():
 
 
 def test_the_earths_limb_and_the_share_of_the_sky_near_the_sun():
-    scenario = load_scenario("cubesat", ["optics.focal_length_mm=12", "optics.aperture_mm=8"])
+    scenario = load_scenario("cubesat_ideal", ["optics.focal_length_mm=12", "optics.aperture_mm=8"])
     # the camera looks square to the nadir, the horizon is arcsin(R/r) from it
     limb = 90.0 - math.degrees(math.asin(EARTH_RADIUS_KM / (EARTH_RADIUS_KM + 800.0)))
     assert not along_path(scenario, 20, Exclusion(earth_deg=limb - 0.1)).excluded["earth"].any()
@@ -140,7 +140,7 @@ def test_the_earths_limb_and_the_share_of_the_sky_near_the_sun():
 
 def test_stars_behind_the_earth_do_not_count():
     looking_down = ["pointing.offset_deg=[30, 0, 0]", "pointing.error_deg=0"]
-    scenario = load_scenario("cubesat", looking_down)
+    scenario = load_scenario("cubesat_ideal", looking_down)
     looks = along_path(scenario, 12)
     stars = load_catalog("bsc5").brighter_than(5.5)
     counts = count_stars(stars, circle(15.0), looks, LIMITS)[:, 2]
@@ -150,7 +150,7 @@ def test_stars_behind_the_earth_do_not_count():
          for m, n in zip(looks.matrices, looks.nadir * 7178.137, strict=True)]
     )  # fmt: skip
     assert np.array_equal(counts, free)
-    clear = along_path(load_scenario("cubesat", [*looking_down, "sky.earth=false"]), 12)
+    clear = along_path(load_scenario("cubesat_ideal", [*looking_down, "sky.earth=false"]), 12)
     assert counts.sum() < count_stars(stars, circle(15.0), clear, LIMITS)[:, 2].sum()
 
 
@@ -174,7 +174,7 @@ def test_information_is_the_sum_over_the_brightest():
 
 
 def test_results_are_whole_and_the_same_again(tmp_path):
-    scenario = load_scenario("cubesat")
+    scenario = load_scenario("cubesat_ideal")
     one, two = (
         coverage(scenario, 400, path=True, magnitude_limit=5.0, exclusion=Exclusion(30.0, 20.0, 10.0)) for _ in range(2)
     )
@@ -200,7 +200,7 @@ def test_results_are_whole_and_the_same_again(tmp_path):
 
 
 def test_everything_excluded_is_told_not_divided_by(tmp_path):
-    scenario = load_scenario("cubesat")
+    scenario = load_scenario("cubesat_ideal")
     result = coverage(scenario, 50, magnitude_limit=4.0, exclusion=Exclusion(sun_deg=180.0))
     write_coverage(result, scenario, tmp_path)
     summary = json.loads((tmp_path / "coverage.json").read_text())
@@ -210,16 +210,16 @@ def test_everything_excluded_is_told_not_divided_by(tmp_path):
 
 
 def test_the_limit_is_what_camera_and_tracker_both_know():
-    cubesat = coverage(load_scenario("cubesat"), 20)
+    cubesat = coverage(load_scenario("cubesat_ideal"), 20)
     assert cubesat.magnitude_limit == 6.5
     assert "tracker.magnitude_limit" in cubesat.limit_reason
-    dim = coverage(load_scenario("cubesat", ["optics.aperture_mm=4"]), 20)
+    dim = coverage(load_scenario("cubesat_ideal", ["optics.aperture_mm=4"]), 20)
     assert 5.0 < dim.magnitude_limit < 6.5
     assert dim.limit_reason == "the camera's detection limit"
 
 
 def test_wrong_numbers_are_told():
-    scenario = load_scenario("cubesat")
+    scenario = load_scenario("cubesat_ideal")
     for wrong, words in (
         ({"count": 0}, "at least 1"),
         ({"rolls": 0}, "at least 1"),
@@ -232,4 +232,4 @@ def test_wrong_numbers_are_told():
     with pytest.raises(InputError, match="0 to 180"):
         Exclusion(moon_deg=-1.0)
     with pytest.raises(InputError, match="no boresight path"):
-        along_path(load_scenario("cubesat", ["study.sampling=sky"]), 5)
+        along_path(load_scenario("cubesat_ideal", ["study.sampling=sky"]), 5)

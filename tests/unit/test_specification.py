@@ -34,7 +34,7 @@ def verdicts(columns, specification, setting=Setting()):
 # ------------------------------------------------------------------ the section
 def test_axes_of_body_and_camera_and_any_percentile(tmp_path):
     scenario = Scenario.load(
-        "cubesat",
+        "cubesat_ideal",
         {
             "specification.across_deg": 0.003,
             "specification.percentile": 95.0,
@@ -58,11 +58,11 @@ def test_axes_of_body_and_camera_and_any_percentile(tmp_path):
 
 def test_defaults_are_those_of_a_specification_without_errors():
     of = dict.fromkeys(("roll", "pitch", "yaw"))
-    bare = Scenario.load("cubesat", {f"specification.{axis}_deg": None for axis in of})
+    bare = Scenario.load("cubesat_ideal", {f"specification.{axis}_deg": None for axis in of})
     limits = {each.name: each.limit for each in specification_of(bare).requirements}
     assert limits == {"roll": 0.025, "pitch": 0.286, "yaw": 0.025}
     one = Scenario.load(
-        "cubesat", {f"specification.{axis}_deg": None for axis in of} | {"specification.across_deg": 0.01}
+        "cubesat_ideal", {f"specification.{axis}_deg": None for axis in of} | {"specification.across_deg": 0.01}
     )
     assert [each.name for each in specification_of(one).requirements] == ["across"]
 
@@ -164,7 +164,7 @@ def test_angles_from_the_bodies_are_those_of_skyfield():
     from simulator.constants import EARTH_RADIUS_KM
 
     scenario = Scenario.load(
-        "cubesat", {f"specification.{body}_exclusion_deg": 10.0 for body in ("sun", "moon", "earth")}
+        "cubesat_ideal", {f"specification.{body}_exclusion_deg": 10.0 for body in ("sun", "moon", "earth")}
     )
     t_s = np.array([0.0, 3000.0, 8.64e6])
     ra, dec = np.array([10.0, 200.0, 330.0]), np.array([-20.0, 5.0, 70.0])

@@ -47,7 +47,7 @@ def test_known_parts_are_found(monkeypatch):
     monkeypatch.setattr(module, "run_trials", fake_run)
     told = []
     found = budget(
-        Scenario.load("cubesat", overrides=QUIET), N, progress=lambda done, total: told.append((done, total))
+        Scenario.load("cubesat_ideal", overrides=QUIET), N, progress=lambda done, total: told.append((done, total))
     )
     assert [row.name for row in found.effects] == ["shot noise", "read noise", "response non-uniformity"]
     total = sum(v * v for v in PARTS.values())
@@ -68,7 +68,7 @@ def test_known_parts_are_found(monkeypatch):
     assert found.remainder.rms_off_deg["cross_y"] * 3600 == pytest.approx(0.5, rel=4 / np.sqrt(2 * N))
     assert (found.solved, found.trials, found.effects[0].trials) == (N - 1, N, N - 1)
     assert not told  # the runs were not real
-    assert budget(Scenario.load("cubesat", overrides=QUIET), N) == found
+    assert budget(Scenario.load("cubesat_ideal", overrides=QUIET), N) == found
     entry = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert entry["effects"][0]["axes"]["cross_x"]["added_rms_deg"] == found.effects[0].added_rms_deg("cross_x")
     text = found.table()
@@ -94,10 +94,10 @@ def test_one_outlier_is_named_and_belongs_to_no_effect(monkeypatch, wrong):
         return SimpleNamespace(table=pa.table(columns), interrupted=False)
 
     monkeypatch.setattr(module, "run_trials", fake_run)
-    plain = budget(Scenario.load("cubesat", overrides=QUIET), N)
+    plain = budget(Scenario.load("cubesat_ideal", overrides=QUIET), N)
     assert plain.outliers == ()
     monkeypatch.setattr(module, "run_trials", with_outlier)
-    found = budget(Scenario.load("cubesat", overrides=QUIET), N)
+    found = budget(Scenario.load("cubesat_ideal", overrides=QUIET), N)
     (outlier,) = found.outliers
     assert (outlier.index, outlier.axis, outlier.wrong) == (17, "cross_x", wrong)
     assert outlier.runs == ("all effects on",)
@@ -130,7 +130,7 @@ def test_outlier_of_the_scene_stays_in_every_run(monkeypatch):
         return SimpleNamespace(table=pa.table(columns), interrupted=False)
 
     monkeypatch.setattr(module, "run_trials", with_outlier)
-    (outlier,) = budget(Scenario.load("cubesat", overrides=QUIET), 200).outliers
+    (outlier,) = budget(Scenario.load("cubesat_ideal", overrides=QUIET), 200).outliers
     assert (outlier.index, outlier.axis) == (3, "about_boresight")
     assert len(outlier.runs) == outlier.of == 6
     assert "caused by the scene" in str(outlier)
@@ -197,22 +197,22 @@ def test_an_interrupt_keeps_what_is_done(monkeypatch):
         return SimpleNamespace(table=fake_run(scenario, trials).table, interrupted=len(calls) == 3)
 
     monkeypatch.setattr(module, "run_trials", stopped)
-    found = budget(Scenario.load("cubesat", overrides=QUIET), 50)
+    found = budget(Scenario.load("cubesat_ideal", overrides=QUIET), 50)
     assert (found.interrupted, [row.name for row in found.effects], found.remainder) == (True, ["shot noise"], None)
     assert "Interrupted" in found.table()
     calls.append(None)
     calls[:] = [None, None]
     with pytest.raises(BoresightError, match="no results"):
-        budget(Scenario.load("cubesat", overrides=QUIET), 50)
+        budget(Scenario.load("cubesat_ideal", overrides=QUIET), 50)
 
 
 def test_one_trial_is_no_budget():
     with pytest.raises(InputError, match="at least 2"):
-        budget(Scenario.load("cubesat"), 1)
+        budget(Scenario.load("cubesat_ideal"), 1)
 
 
 def test_every_effect_can_be_switched_off_in_every_shipped_scenario():
-    for name in ("cubesat", "cubesat_flight", "sunsat"):
+    for name in ("cubesat_ideal", "cubesat", "sunsat"):
         scenario = Scenario.load(name)
         for effect in EFFECTS:
             changes = effect.off(scenario)
@@ -228,16 +228,16 @@ def test_errors_of_the_camera_are_effects():
         "unresolved faint stars", "catalogue errors",
     }  # fmt: skip
     known = {effect.name: effect for effect in EFFECTS}
-    flight = Scenario.load("cubesat_flight")
+    flight = Scenario.load("cubesat")
     for name in names:
-        assert not known[name].off(Scenario.load("cubesat"))
+        assert not known[name].off(Scenario.load("cubesat_ideal"))
         assert not known[name].off(Scenario.load("sunsat")) or name == "catalogue errors"  # of bsc5
         without = flight.changed(known[name].off(flight))
         assert {other for other in names if known[other].off(without)} == names - {name}
 
 
 def test_smear_off_is_a_camera_that_stands_still():
-    scenario = Scenario.load("cubesat", overrides=["pointing.error_deg=0", "sky.magnitude_limit=3"])
+    scenario = Scenario.load("cubesat_ideal", overrides=["pointing.error_deg=0", "sky.magnitude_limit=3"])
     effect = next(effect for effect in EFFECTS if effect.name == "smear by rates")
 
     def rate(of):
@@ -251,7 +251,7 @@ def test_smear_off_is_a_camera_that_stands_still():
 def test_for_real():
     """Read noise of 60 electrons is most of what a small camera without other noise has."""
     overrides = [*SMALL, *QUIET, "detector.read_noise_e=60", "detector.shot_noise=false", "detector.prnu=0"]
-    scenario = Scenario.load("cubesat", overrides=overrides)
+    scenario = Scenario.load("cubesat_ideal", overrides=overrides)
     told = []
     found = budget(scenario, 4, progress=lambda done, total: told.append((done, total)))
     assert told[-1] == (3 * 4, 3 * 4)  # everything, one effect, nothing

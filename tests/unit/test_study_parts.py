@@ -19,7 +19,7 @@ from startracker.errors import BoresightError, InputError
 
 @pytest.fixture(scope="module")
 def scenario():
-    return Scenario.load("cubesat")
+    return Scenario.load("cubesat_ideal")
 
 
 def rows(block):
@@ -149,7 +149,7 @@ def test_parts_of_another_scenario_are_refused_and_more_trials_are_not(scenario,
     assert PartStore(scenario.with_values(trials=7), tmp_path, resume=True).missing(7) == [range(5, 7)]
     for resume in (True, False):
         with pytest.raises(
-            InputError, match=r"contains unfinished trials of another run \(scenario 'cubesat', seed 1, 7"
+            InputError, match=r"contains unfinished trials of another run \(scenario 'cubesat_ideal', seed 1, 7"
         ):
             PartStore(scenario.with_values(seed=scenario.seed + 1), tmp_path, resume)
     assert len(files(tmp_path)) == 1
@@ -205,7 +205,9 @@ def test_unfinished_trials_are_taken_over_without_being_asked(scenario, tmp_path
     again = PartStore(scenario, tmp_path, resume=False)
     assert again.missing(8) == [range(5, 8)]
     again.refuse_fewer(5)
-    with pytest.raises(InputError, match=r"unfinished trials of a longer run \(scenario 'cubesat', seed 1, 5 trials"):
+    with pytest.raises(
+        InputError, match=r"unfinished trials of a longer run \(scenario 'cubesat_ideal', seed 1, 5 trials"
+    ):
         again.refuse_fewer(4)
     assert PartStore(scenario, tmp_path, resume=False, force=True).missing(8) == [range(8)]
 

@@ -57,7 +57,7 @@ def test_normalised_error_of_known_numbers():
 
 
 def test_a_trial_has_its_bound_and_place():
-    row = TrialRunner(Scenario.load("cubesat", overrides=SMALL)).run(0)
+    row = TrialRunner(Scenario.load("cubesat_ideal", overrides=SMALL)).run(0)
     assert row["status"] == "solved"
     for axis in ("cross_x", "cross_y", "about_boresight"):
         # an error beyond six of its bounds in a field of few stars would be no noise: 1e-9 for a normal one
@@ -70,9 +70,9 @@ def test_a_trial_has_its_bound_and_place():
 
 
 def test_no_stars_no_bound():
-    row = TrialRunner(Scenario.load("cubesat", overrides=[*SMALL, "sky.magnitude_limit=-1", "sky.planets=false"])).run(
-        0
-    )
+    row = TrialRunner(
+        Scenario.load("cubesat_ideal", overrides=[*SMALL, "sky.magnitude_limit=-1", "sky.planets=false"])
+    ).run(0)
     assert row["status"] != "solved"
     assert math.isnan(row["bound_cross_x_deg"])
     assert math.isnan(row["nees"])
@@ -81,7 +81,7 @@ def test_no_stars_no_bound():
 
 def shifted_row(shift_arcsec, sigma_scale=1.0, renamed=False):
     """Row of a trial whose solution is turned about the camera's x axis, its covariance scaled, or a star renamed."""
-    runner = TrialRunner(Scenario.load("cubesat", overrides=SMALL))
+    runner = TrialRunner(Scenario.load("cubesat_ideal", overrides=SMALL))
     frame, truth = runner.renderer.frame(0)
     solution = solve_frame(runner.tracker, frame)
     turn = Attitude.from_matrix(Rotation.from_rotvec([math.radians(shift_arcsec / 3600.0), 0.0, 0.0]).as_matrix())
@@ -128,7 +128,7 @@ def test_what_a_displaced_lens_explains_is_not_wrong():
     0.1 s at the orbital rate of 0.0595°/s are 21″."""
     decentred = ["optics.thermal.decentring_um_k=[1.7, 1.7]", "optics.thermal.temperature_c=21"]
     for keys, turn_arcsec in ((decentred, 1.7e-3 / 25.0 * 206_264.8), (["detector.time_tag.offset_s=0.1"], 21.4)):
-        runner = TrialRunner(Scenario.load("cubesat", overrides=keys))
+        runner = TrialRunner(Scenario.load("cubesat_ideal", overrides=keys))
         frame, truth = runner.renderer.frame(0)
         solution = solve_frame(runner.tracker, frame)
         row = runner._row(0, frame, truth, solution)
@@ -146,7 +146,7 @@ def test_what_a_displaced_lens_explains_is_not_wrong():
 
 
 def test_a_camera_without_errors_turns_nothing():
-    runner = TrialRunner(Scenario.load("cubesat"))
+    runner = TrialRunner(Scenario.load("cubesat_ideal"))
     _, truth = runner.renderer.frame(0)
     assert not systematic_turn_deg(runner.renderer, truth, np.arange(5)).any()
     bound_deg = np.full(3, 1e-4)
@@ -154,7 +154,7 @@ def test_a_camera_without_errors_turns_nothing():
 
 
 def test_a_frame_of_a_sequence_is_wrong_by_the_same_rule():
-    runner = SequenceRunner(Scenario.load("cubesat", overrides=[*SMALL, "sequence.frames=2"]))
+    runner = SequenceRunner(Scenario.load("cubesat_ideal", overrides=[*SMALL, "sequence.frames=2"]))
     frame, truth = runner.renderer.frame(0)
     solution = solve_frame(runner.tracker, frame)
     far = np.array([90.0 / 3600.0, 0.0, 0.0])
@@ -166,7 +166,7 @@ def test_a_frame_of_a_sequence_is_wrong_by_the_same_rule():
 
 
 def test_the_answer_says_which_stars_were_fitted():
-    runner = TrialRunner(Scenario.load("cubesat", overrides=SMALL))
+    runner = TrialRunner(Scenario.load("cubesat_ideal", overrides=SMALL))
     frame, _ = runner.renderer.frame(0)
     solution = solve_frame(runner.tracker, frame)
     used = np.arange(solution.matched) != 1

@@ -37,7 +37,7 @@ def test_named_target_is_drawn_where_it_was_asked_for(name):
         "pointing.target_offset_deg=[3, 2]",
         "sky.earth=false",
     ]
-    renderer = Renderer(Scenario.load("cubesat", overrides))
+    renderer = Renderer(Scenario.load("cubesat_ideal", overrides))
     _, truth = renderer.frame(0)
     brightest = truth.sources.xy[np.argmax(truth.sources.electrons)]
     camera = renderer.camera
@@ -49,5 +49,5 @@ def test_named_target_is_drawn_where_it_was_asked_for(name):
 
 def test_direction_and_roll():
     overrides = ["pointing.target=[83.6, -5.4, 123]", "pointing.error_deg=0"]
-    attitude = Renderer(Scenario.load("cubesat", overrides)).frame(0)[1].attitude
+    attitude = Renderer(Scenario.load("cubesat_ideal", overrides)).frame(0)[1].attitude
     assert (attitude.ra_deg, attitude.dec_deg, attitude.roll_deg) == pytest.approx((83.6, -5.4, 123.0), abs=1e-9)

@@ -24,7 +24,7 @@ NODE = [*MOVING, "pointing.thermo_elastic.reference=node"]
 
 def test_the_angle_is_zero_at_noon_and_half_a_turn_in_the_middle_of_the_eclipse():
     """Of an orbit by its instants: evenly along a circle, and sunlit symmetrically about noon."""
-    renderer = Renderer(load_scenario("cubesat", ["orbit.ltan_h=12", "study.sampling=orbit"]))
+    renderer = Renderer(load_scenario("cubesat_ideal", ["orbit.ltan_h=12", "study.sampling=orbit"]))
     period_s = renderer.scenes.orbit.period_s
     times = np.linspace(0.0, period_s, 400, endpoint=False)
     renderer.scenes.plan(times)
@@ -43,7 +43,7 @@ def test_the_angle_is_zero_at_noon_and_half_a_turn_in_the_middle_of_the_eclipse(
 
 def test_the_camera_rotates_and_the_body_does_not():
     """θ = A cos(u − φ) about the camera's axes; the spacecraft does not know of it."""
-    still, moved = Renderer(load_scenario("cubesat")), Renderer(load_scenario("cubesat", NODE))
+    still, moved = Renderer(load_scenario("cubesat_ideal")), Renderer(load_scenario("cubesat_ideal", NODE))
     for index in range(3):
         before, after = still.scene(index).pointing, moved.scene(index).pointing
         u = math.radians(moved.scenes.instant(index).orbit_argument_deg)
@@ -62,7 +62,7 @@ def test_the_camera_rotates_and_the_body_does_not():
 def test_errors_of_the_body_contain_it_and_those_of_the_camera_do_not():
     """With a perfect estimate of the camera the body is wrong by the rotation, in body axes: opposite to a camera that
     is thought to be where it is not; to second order, 50″ squared."""
-    scene = Renderer(load_scenario("cubesat", NODE)).scene(1).pointing
+    scene = Renderer(load_scenario("cubesat_ideal", NODE)).scene(1).pointing
     errors = attitude_errors_deg(scene.camera, scene.camera, scene.mounting, scene.mounting_rotation_rad)
     nominal = Attitude.from_rotation_vector(scene.mounting_rotation_rad, "camera", "camera").inverse @ scene.mounting
     estimate = nominal.inverse @ scene.camera
@@ -74,15 +74,18 @@ def test_errors_of_the_body_contain_it_and_those_of_the_camera_do_not():
 
 def test_columns_of_trials_and_sequences():
     small = ["sequence.frames=3", "sequence.step_s=600", "pointing.error_deg=0", "sequence.gyro.use=true"]
-    moved, still = TrialRunner(load_scenario("cubesat", MOVING)).run(0), TrialRunner(load_scenario("cubesat")).run(0)
+    moved, still = (
+        TrialRunner(load_scenario("cubesat_ideal", MOVING)).run(0),
+        TrialRunner(load_scenario("cubesat_ideal")).run(0),
+    )
     theta_deg = np.array([moved[f"mounting_{axis}_deg"] for axis in "xyz"])
     assert np.abs(theta_deg).max() > 1e-3
     assert not any(name.startswith("mounting_") for name in still)
     camera = np.array([moved[f"error_{a}_deg"] for a in ("cross_x", "cross_y", "about_boresight")])
     body = np.array([moved[f"error_{a}_deg"] for a in ("roll", "pitch", "yaw")])
     assert np.linalg.norm(body) == pytest.approx(np.linalg.norm(camera + theta_deg), rel=1e-3)
-    sequence = run_sequence(load_scenario("cubesat", [*small, *MOVING]))
-    plain = run_sequence(load_scenario("cubesat", small))
+    sequence = run_sequence(load_scenario("cubesat_ideal", [*small, *MOVING]))
+    plain = run_sequence(load_scenario("cubesat_ideal", small))
     columns, without = sequence.columns, plain.columns
     for k in range(3):
         turn, before = (Attitude(np.array([c[f"true_q{x}"][k] for x in "xyzw"])) for c in (columns, without))
@@ -94,8 +97,8 @@ def test_columns_of_trials_and_sequences():
 
 
 def test_the_datasheet_states_the_amplitudes():
-    assert _mounting(load_scenario("cubesat")) == []
-    found = _mounting(load_scenario("cubesat", MOVING))
+    assert _mounting(load_scenario("cubesat_ideal")) == []
+    found = _mounting(load_scenario("cubesat_ideal", MOVING))
     for quantity, amplitude in zip(found, AMPLITUDE, strict=True):
         assert quantity.estimate.plain()[0] == pytest.approx(abs(amplitude) / math.sqrt(2.0))
         assert quantity.unit == "arcsec"

@@ -16,7 +16,7 @@ QUIET = ["sky.earth=false", "pointing.error_deg=0", "detector.width=256", "detec
 def test_variables_are_flagged_in_the_truth_and_in_its_file(tmp_path):
     from astropy.io import fits
 
-    renderer = Renderer(Scenario.load("cubesat", [*QUIET, "pointing.target=Omi Cet"]))  # Mira
+    renderer = Renderer(Scenario.load("cubesat_ideal", [*QUIET, "pointing.target=Omi Cet"]))  # Mira
     frame, truth = renderer.frame(0)
     sources = truth.sources
     known = load_catalog("hipparcos")
@@ -32,7 +32,7 @@ def test_variables_are_flagged_in_the_truth_and_in_its_file(tmp_path):
 
 
 def test_a_body_is_no_variable_star():
-    sources = Renderer(Scenario.load("cubesat", [*QUIET, "pointing.target=Jupiter"])).frame(0)[1].sources
+    sources = Renderer(Scenario.load("cubesat_ideal", [*QUIET, "pointing.target=Jupiter"])).frame(0)[1].sources
     assert "planet" in sources.kind
     assert not np.any(sources.variable[sources.kind != "star"])
 
@@ -40,7 +40,7 @@ def test_a_body_is_no_variable_star():
 @pytest.fixture(scope="module")
 def pair():
     """A focal plane, and the scene of two stars 0.3 px apart that it cannot resolve, of one colour."""
-    renderer = Renderer(Scenario.load("cubesat", [*QUIET, "sky.planets=false", "sky.background=false"]))
+    renderer = Renderer(Scenario.load("cubesat_ideal", [*QUIET, "sky.planets=false", "sky.background=false"]))
     attitude = Attitude.from_radec_roll(40.0, 10.0, 0.0)
     scene = renderer.scene(0, at_s=0.0, attitude=attitude)
     separation = 0.3 * renderer.camera.pixel_rad

@@ -13,7 +13,7 @@ from simulator import Scenario
 from simulator.study.trials import warm_up
 from startracker import Camera, StarTracker
 
-SCENARIO = Scenario.load(Path(__file__).parents[2] / "scenarios" / "cubesat.yaml")
+SCENARIO = Scenario.load(Path(__file__).parents[2] / "scenarios" / "cubesat_ideal.yaml")
 CAMERA = Camera.from_fov(fov_deg=10.0, width=512, height=512)
 RUNNER = SimpleNamespace(scenario=SCENARIO, renderer=SimpleNamespace(camera=CAMERA))
 
