@@ -5,6 +5,7 @@ The stages orbit → pointing → sky in order; independent of pixels.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -130,6 +131,15 @@ class SceneParameters:
     """Time beyond an exposure in which a rolling shutter exposes rows."""
 
 
+@functools.lru_cache(maxsize=2)
+def _sky_of(catalog: StarCatalog, magnitude_limit: float) -> tuple[SkyIndex, FloatArray, FloatArray]:
+    """Stars of a sky, B−V and luminosity class of each; cached for the cameras of a sweep."""
+    stars = by_declination(catalog.brighter_than(magnitude_limit))
+    b_v, giant = spectral_coordinates(stars.b_v, stars.spectral_type)
+    stars = replace(stars, spectral_type=np.full(len(stars), ""))  # unused, and 80 bytes per star
+    return SkyIndex(stars), b_v, giant
+
+
 class SceneBuilder:
     """Builds scenes of trials with common clock, orbit and catalogue.
 
@@ -166,12 +176,9 @@ class SceneBuilder:
         self.clock: Clock = orbit.clock
         self._round_s = round_s(parameters.pointing, orbit.period_s)
         seen = parameters.sky
-        catalog = by_declination(load_catalog(seen.catalog).brighter_than(seen.magnitude_limit))
-        self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
-        catalog = replace(catalog, spectral_type=np.full(len(catalog), ""))  # unused, and 80 bytes per star
-        self.sky = SkyIndex(catalog)
+        self.sky, self._b_v, self._giant = _sky_of(load_catalog(seen.catalog), seen.magnitude_limit)
         target = parameters.pointing.target
-        self._target = find_target(target, catalog) if isinstance(target, str) else None
+        self._target = find_target(target, self.sky.catalog) if isinstance(target, str) else None
         self._blocks: dict[int, Instants] = {}
         self._plan: tuple[Instants | None, dict[float, int]] = (None, {})
 
