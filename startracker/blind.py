@@ -7,10 +7,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from startracker import centroid as centroiding
 from startracker import detection as detecting
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
@@ -26,11 +27,6 @@ from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import Solution
 from startracker.trace import Step
-
-__all__ = ["solve_unknown_fov"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def solve_unknown_fov(

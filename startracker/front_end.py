@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.centroid import Centroider
 from startracker.centroid.result import Centroids
@@ -29,10 +30,6 @@ from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
 from startracker.trace import Step, Steps
 from startracker.trails import Trails, find_trails, mid_exposure
-
-__all__ = ["Clock", "FoundStars", "find_stars"]
-
-FloatArray = NDArray[np.float64]
 
 _WHITE_SHARE = 0.5
 """Fraction of saturated pixels above which no stars are searched for."""

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from simulator.study.environment.survey import EnvironmentSurvey
 
-__all__ = ["environment_study"]
-
 
 def environment_study(
     scenario: ScenarioFile,

@@ -18,8 +18,6 @@ from simulator.cli.printed_command import PictureRequest, greyling1995_study
 from simulator.cli.suggesting import SuggestingGroup
 from simulator.cli.terminal import open_console, progress_bar
 
-__all__ = ["STUDIES", "study_app"]
-
 AlongPath = Annotated[bool, switch("--path", "Use the boresight path of the mission instead of the whole sky.")]
 Force = Annotated[bool, switch("--force", "Replace results of another scenario, version or longer study in DIR.")]
 Workers = Annotated[int, option("--workers", "N", "Processes on this machine.")]

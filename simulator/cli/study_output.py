@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from simulator.study.design.search import Design
     from simulator.study.design.verification import Verified
 
-__all__ = ["print_coverage", "print_design", "print_verified"]
-
 
 def print_coverage(result: Coverage, console: Console) -> None:
     """Exclusions, numbers of stars, availability, and the predicted verdict."""

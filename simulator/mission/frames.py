@@ -7,13 +7,11 @@ import math
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.clock import Clock
+from startracker.arrays import FloatArray
 from startracker.constants import J2000_JD_TT
 from startracker.ephemeris import timescale
-
-FloatArray = NDArray[np.float64]
 
 
 def true_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:

@@ -14,11 +14,12 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from simulator.sky.earth import earth_radiance_map
 from simulator.sky.star_counts import light_between_s10
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -26,19 +27,6 @@ from startracker.distortion import Distortion
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
-
-__all__ = [
-    "ECLIPTIC",
-    "GALACTIC",
-    "background_map",
-    "diffuse_sky_s10",
-    "sky_brightness_s10",
-    "star_contrast",
-    "starlight_s10",
-    "zodiacal_s10",
-]
-
-FloatArray = NDArray[np.float64]
 
 _OBLIQUITY_RAD = math.radians(84381.406 / 3600.0)
 ECLIPTIC = np.array(

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Slider", "compact_figures", "with_sliders"]
-
 Slider = tuple[float, float, float, float]
 """Lowest and highest value, step and value at the start of a parameter; whole numbers stay whole."""
 

@@ -10,11 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.statistics import BODY_AXES
+from startracker.arrays import FloatArray
 from startracker.display import html_card
-
-__all__ = ["study_card"]
-
-FloatArray = NDArray[np.float64]
 
 _LINES = {"roll": ("#2f81c9", ""), "pitch": ("#c9730a", "7 3"), "yaw": ("#2a9d6f", "2 3")}
 """Colour, 3 : 1 and more against white and black alike, and dashes of each body axis."""

@@ -21,6 +21,7 @@ from simulator.study.intervals import (
 )
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import Judgement
+from startracker.arrays import FloatArray
 
 BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
@@ -48,7 +49,6 @@ MOST_OUTLIERS_LISTED = 200
 _MAD_TO_SIGMA = 1.482602218505602
 
 Columns = Mapping[str, NDArray[Any]]
-FloatArray = NDArray[np.float64]
 
 
 def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:

@@ -16,19 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import BoresightError
 
-__all__ = [
-    "ANGLE",
-    "CENTROID",
-    "COSINE",
-    "SEPARATION",
-    "FixedPointOverflow",
-    "Format",
-    "Integers",
-    "check_product",
-    "divide",
-    "integers",
-]
-
 Integers: TypeAlias = NDArray[np.int64]
 
 

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.build import build_mounting, build_orbit, build_scenes
 from simulator.constants import EARTH_RADIUS_KM
@@ -23,14 +22,10 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scene import GivenState
 from simulator.study.body_angles import angle_from_deg
+from startracker.arrays import BoolArray, FloatArray
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.display import fields_repr
 from startracker.errors import InputError
-
-__all__ = ["Boresights", "Exclusion", "along_path", "sky_grid", "whole_sky"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _PLASTIC = 0.754_877_666_246_692_8

@@ -8,8 +8,6 @@ from simulator.scenario import Scenario
 from simulator.scenario.fields import all_keys
 from simulator.study.coverage.boresights import Boresights, Exclusion
 
-__all__ = ["BODIES", "everything_excluded", "exclusion_of", "exclusion_text"]
-
 BODIES = ("sun", "moon", "earth")
 
 

@@ -12,8 +12,6 @@ from simulator.study.plots import save_bytes
 from simulator.study.result_files import json_text, parquet_bytes, write_files
 from simulator.study.results_folder import Identity
 
-__all__ = ["RESULT_FILES", "write_coverage"]
-
 RESULT_FILES = ("coverage.json", "coverage.parquet", "map.png", "counts.png", "magnitudes.png")
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from simulator.sky.background import ECLIPTIC, GALACTIC
 from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
+from startracker.arrays import FloatArray
 from startracker.attitude import direction_to_radec, radec_to_direction
 
 if TYPE_CHECKING:
@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from simulator.study.coverage.survey import Coverage
-
-__all__ = ["count_plot", "coverage_map", "magnitude_plot"]
-
-FloatArray = NDArray[np.float64]
 
 _MAP_COLUMNS, _MAP_ROWS = 720, 360
 _MOST_MINIMA_DRAWN = 60

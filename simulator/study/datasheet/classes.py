@@ -31,10 +31,7 @@ from scipy.signal.windows import dpss
 from simulator.study.datasheet.estimates import Estimate
 from simulator.study.datasheet.scan import ScanGeometry
 from simulator.study.intervals import moment_intervals
-
-__all__ = ["BANDWIDTH", "CLASSES", "Separated", "Spectra", "separate"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 CLASSES = ("bias", "fov_spatial", "pixel_spatial", "temporal_noise")
 """Classes that a scan separates."""

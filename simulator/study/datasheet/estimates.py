@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.study.intervals import FEWEST, moment_intervals, percentile_interval, wilson_interval
 
-__all__ = ["CONFIDENCE", "Estimate", "cross_square_deg2", "mean_of", "proportion", "rms_of", "upper_limit"]
-
 CONFIDENCE = 0.95
 """Confidence of all intervals."""
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-__all__ = ["FULL", "QUICK", "Amounts"]
-
 
 @dataclass(frozen=True)
 class Amounts:

@@ -25,8 +25,6 @@ from simulator.study.specification.measured import judge_frames
 from simulator.study.specification.verdicts import Judgement
 from startracker._version import __version__
 
-__all__ = ["RESULT_FILES", "Column", "Datasheet", "datasheet", "measure"]
-
 RESULT_FILES = ("datasheet.json", "datasheet.html", "datasheet.pdf", "datasheet.timing.json")
 """Files of a datasheet. All but the last are the same bytes on any machine with the same libraries, and on any number
 of workers; the last contains measured computing times."""

@@ -7,8 +7,6 @@ from typing import Any
 
 from simulator.study.datasheet.estimates import CONFIDENCE, Estimate
 
-__all__ = ["LEVELS", "Quantity", "select"]
-
 LEVELS = (68.0, 95.0, 99.7)
 """Levels at which errors are stated, percent."""
 

@@ -16,15 +16,6 @@ from simulator.study.statistics import CAMERA_AXES
 if TYPE_CHECKING:
     from simulator.study.datasheet.run import Column
 
-__all__ = [
-    "accuracy_table",
-    "conditions_table",
-    "estimate_text",
-    "list_table",
-    "rate_table",
-    "terms_table",
-]
-
 UNITS = {"arcsec": "″", "deg": "°", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
 UNBROKEN = "\N{NO-BREAK SPACE}"
 AXIS_NAMES = {"cross_x": "x", "cross_y": "y", "about_boresight": "about"}

@@ -13,8 +13,6 @@ from simulator.study.datasheet.estimates import Estimate
 from simulator.study.datasheet.sheet import Quantity
 from simulator.study.trials.trial import TrialRunner
 
-__all__ = ["computing_time", "timing"]
-
 TIMED_TRIALS = 20
 """Trials whose computing time is measured, after one for warming up."""
 

@@ -11,8 +11,6 @@ from simulator.study.plots import save_bytes
 from simulator.study.result_files import json_text, write_files
 from simulator.study.results_folder import Identity
 
-__all__ = ["write_design"]
-
 
 def write_design(verified: Verified, folder: Path, identity: Identity | None = None) -> None:
     """Write ``design.json`` and ``design.png``."""

@@ -18,8 +18,6 @@ from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judg
 from simulator.study.statistics import BODY_AXES
 from startracker.errors import InputError
 
-__all__ = ["Verification", "Verified", "trials_for", "verified_design", "verify"]
-
 Report = Callable[[int, float], None]
 """Called with the number of the run and its value before each run."""
 

@@ -10,8 +10,6 @@ from simulator.study.plots import save_bytes
 from simulator.study.result_files import json_text, parquet_bytes, write_files
 from simulator.study.results_folder import Identity
 
-__all__ = ["RESULT_FILES", "write_environment"]
-
 RESULT_FILES = ("environment.json", "environment.parquet", "particles.png", "ageing.png")
 
 

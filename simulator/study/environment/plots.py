@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["ageing_figure", "particles_figure"]
-
 _LEAST_CM2_S = 0.01
 
 

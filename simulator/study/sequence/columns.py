@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import FrameTruth
 from simulator.renderer import Renderer
@@ -14,12 +13,9 @@ from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, is_wr
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.systematic import explained_deg
 from simulator.study.trials.trial import attitude_errors_deg
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.solution import Solution
-
-__all__ = ["NO_FRAME", "attitude_columns", "camera_error_deg", "error_columns", "is_wrong_attitude"]
-
-FloatArray = NDArray[np.float64]
 
 NO_FRAME = "no_frame"
 """Status of a missing frame."""

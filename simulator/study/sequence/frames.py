@@ -39,6 +39,7 @@ from simulator.study.trials.trial import (
     mounting_columns,
     normalised_error_squared,
 )
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.kernels import clock
@@ -46,8 +47,6 @@ from startracker.solution import Solution
 from startracker.tracking import TrackingSession
 
 __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]
-
-FloatArray = NDArray[np.float64]
 
 MODES = ("tracking", "prior", "lost_in_space", "coasting", "none")
 """Source of the attitude of a frame: windows; whole frame near the prediction; whole frame and whole sky; prediction

@@ -5,15 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.sequence.statistics import longest_run, nees_test
 from simulator.study.statistics import AXES, CAMERA_AXES, axis_statistics
-
-__all__ = ["OUTCOMES", "fused_nees", "summarise_heads"]
-
-Columns = dict[str, NDArray[Any]]
+from startracker.arrays import Columns
 
 OUTCOMES = ("started", "used", "rejected", "restarted", "too_late")
 """What an attitude did to the filter."""

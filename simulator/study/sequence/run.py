@@ -34,8 +34,6 @@ from startracker.display import described
 from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
 
-__all__ = ["Sequence", "run_sequence"]
-
 Progress = Callable[[int, int], None]
 """Called with (frames finished, total frames)."""
 

@@ -12,11 +12,7 @@ from simulator.study.intervals import effective_number
 from simulator.study.sequence.frames import MODES
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, axis_statistics
-
-__all__ = ["longest_run", "nees_test", "summarise_sequence"]
-
-Columns = dict[str, NDArray[Any]]
-FloatArray = NDArray[np.float64]
+from startracker.arrays import Columns, FloatArray
 
 
 def summarise_sequence(columns: Columns, step_s: float, judgement: Judgement) -> dict[str, Any]:

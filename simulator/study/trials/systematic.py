@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import FrameTruth
 from simulator.renderer import Renderer
 from simulator.study.trials.bounds import pixel_slopes
-
-__all__ = ["explained_deg", "systematic_turn_deg"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from startracker.arrays import FloatArray, IntArray
 
 
 def systematic_turn_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:

@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth, TrueSources
 from simulator.randomness import stream
@@ -18,6 +17,7 @@ from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from simulator.study.trials.systematic import explained_deg
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -25,9 +25,6 @@ from startracker.catalog.stars import StarCatalog
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker with a column of their times; these, ``render_ms`` and ``solve_ms`` are the only columns that

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.theses.tables import FloatArray
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
 
 

@@ -17,7 +17,7 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.theses.greyling1995.comparators import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import COLUMNS, COUNTS_PER_LINE, LINES, SERIAL_CLOCK_HZ
-from simulator.theses.tables import FloatArray
+from startracker.arrays import FloatArray
 
 SLOW_CLOCK_HZ = 1.0e5
 """Assumed, as the thesis does not state the slow clock of Fig. 6.10."""

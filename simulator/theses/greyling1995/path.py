@@ -20,7 +20,8 @@ from simulator.mission.secular import mean_motion, sun_synchronous_inclination
 from simulator.sky.background import ECLIPTIC, GALACTIC
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
 

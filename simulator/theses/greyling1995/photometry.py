@@ -24,7 +24,8 @@ from simulator.theses.greyling1995.starlight import (
     thesis_mv,
 )
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 from startracker.catalog import load_catalog
 
 ZERO_LUX = -13.94188

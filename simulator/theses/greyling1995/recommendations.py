@@ -19,7 +19,8 @@ from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
 from simulator.theses.greyling1995.star_images import star_stamps
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, IntArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog

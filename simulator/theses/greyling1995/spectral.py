@@ -7,7 +7,8 @@ import numpy as np
 from simulator.optics.curves import load_curve
 from simulator.sky.library import HC_J_NM
 from simulator.theses.greyling1995.starlight import BANDS_UM, EFFICIENCY, SECOND_EFFICIENCY
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 
 WAVELENGTH_NM: FloatArray = np.arange(360.0, 1251.0)
 CHARGE_C = 1.602176634e-19

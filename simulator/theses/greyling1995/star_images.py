@@ -13,7 +13,7 @@ from simulator.optics.smear import exposure_nodes
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
-from simulator.theses.tables import FloatArray
+from startracker.arrays import FloatArray
 from startracker.centroid import METHODS
 from startracker.centroid.bias import moment_bias
 from startracker.centroid.window import Pixels, read_window

@@ -10,18 +10,13 @@ image.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.theses.printed import Row
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
+from startracker.arrays import IntArray
 from startracker.fixed_point.centroid import running_centroid
 from startracker.fixed_point.formats import CENTROID
-
-__all__ = ["fixed_centroids", "star_pixels"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _THRESHOLD_DN, _PEAK_DN, _SIGMA_PX, _RADIUS_PX = 51, 150, 3.2, 8
 _MORE_DN = 5000

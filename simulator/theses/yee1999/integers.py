@@ -8,9 +8,10 @@ import numpy as np
 
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, merged_name, sadr, vega
+from startracker.arrays import FloatArray
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.formats import SEPARATION
 from startracker.fixed_point.square_root import by_pythagoras, by_tables

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from simulator.frame import Frame, FrameTruth
-from simulator.theses.tables import FloatArray, IntArray
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude, radec_to_direction
 from startracker.detection import estimate, find_clusters
 from startracker.settings import DetectionSettings

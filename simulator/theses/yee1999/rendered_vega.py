@@ -11,9 +11,10 @@ from simulator.scenario import Scenario
 from simulator.study.trials.trial import build_tracker
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, VEGA_FOV_DEG, Options
 from simulator.theses.yee1999.rendered import SolvedFrame, show, solve_shown
+from startracker.arrays import FloatArray
 from startracker.identification.triad_search import TriadLimits
 
 PRINTED_ERROR_DEG = 0.02
