@@ -157,14 +157,12 @@ def _points_of_image(
     """Centroids of an image; a solution that says why if it cannot be used."""
     settings = detection or DetectionSettings()
     found = find_stars(
-        given.image,
+        given,
         lookup("detectors", detecting.DETECTORS, detector),
         lookup("centroiders", centroiding.METHODS, centroider),
         settings,
         centroid or CentroidSettings(),
         clock,
-        saturation_dn=given.saturation_dn,
-        gain_e_per_dn=given.gain_e_per_dn,
     )
     if found.status is not None:
         explained = (*found.steps, *hints(found.status, 0, known_camera=False))

@@ -156,17 +156,7 @@ class StarTracker:
             An image that cannot be solved does not raise; see the status and the reason.
         """
         clock, given = Clock(), given_image(image, observer, time, saturation_dn, gain_e_per_dn)
-        found = find_stars(
-            given.image,
-            self._detect,
-            self._measure,
-            self.detection,
-            self.centroid,
-            clock,
-            camera=self.camera,
-            saturation_dn=given.saturation_dn,
-            gain_e_per_dn=given.gain_e_per_dn,
-        )
+        found = find_stars(given, self._detect, self._measure, self.detection, self.centroid, clock, camera=self.camera)
         if found.status is not None:
             explained = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=explained)

@@ -140,11 +140,6 @@ def raan_of_local_time(clock: Clock, local_time_h: float, t_s: float = 0.0) -> f
     return float(erfa.anp(gast + 2.0 * math.pi * (local_time_h / 24.0 - midnight_fraction)))
 
 
-def local_time_of_raan(clock: Clock, raan_rad: float, t_s: float = 0.0) -> float:
-    """Local mean solar time, hours in [0, 24), of a right ascension; the inverse of `raan_of_local_time`."""
-    return (raan_rad - raan_of_local_time(clock, 0.0, t_s)) % (2.0 * math.pi) * 12.0 / math.pi % 24.0
-
-
 def argument_of_latitude_deg(
     clock: Clock, t_s: float | FloatArray, r_km: FloatArray, v_km_s: FloatArray, frame: str = "equator_of_date"
 ) -> FloatArray:

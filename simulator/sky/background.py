@@ -47,6 +47,13 @@ GALACTIC = np.array(
 )
 """ICRS → galactic; ESA 1997, *The Hipparcos and Tycho Catalogues*, vol. 1, eq. 1.5.11."""
 
+
+def equator_of(to_frame: FloatArray, points: int = 721) -> FloatArray:
+    """Unit vectors (points, 3) along the equator of a frame, ICRS; rows of `to_frame` are its axes in ICRS."""
+    t = np.linspace(0.0, 2.0 * np.pi, points)[:, None]
+    return np.asarray(np.cos(t) * to_frame[0] + np.sin(t) * to_frame[1])
+
+
 POLE_S10 = 60.0
 """Zodiacal light at the ecliptic poles, ±3; Leinert et al. 1998, section 8.3."""
 

@@ -99,7 +99,7 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
         Error squared, normalised by the stated covariance; NaN without one.
     error_deg, bound_deg : array_like, shape (3,)
         Error about the camera's axes, and the Cramér–Rao bound of the noise together with what displaced star images
-        explain (`simulator.study.trials.systematic`). For an axis without a bound (NaN) no error is explained.
+        explain (`simulator.study.trials.trial`). For an axis without a bound (NaN) no error is explained.
     """
     if misidentified > 0:
         return True

@@ -13,8 +13,8 @@ from pages import browser, faults, faults_on_paper
 
 from simulator import Scenario
 from simulator.study.datasheet import run
-from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.run import RESULT_FILES, datasheet
+from simulator.study.datasheet.sheet import Amounts
 from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted, TaskRunner
 from startracker.arrays import Columns
 

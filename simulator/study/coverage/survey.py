@@ -16,8 +16,15 @@ import pyarrow as pa
 from simulator.build import build_camera
 from simulator.mission.clock import Clock
 from simulator.scenario import Scenario
-from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
-from simulator.study.coverage.exclusions import everything_excluded, exclusion_of, exclusion_text
+from simulator.study.coverage.boresights import (
+    Boresights,
+    Exclusion,
+    along_path,
+    everything_excluded,
+    exclusion_of,
+    exclusion_text,
+    whole_sky,
+)
 from simulator.study.coverage.field_counts import circle, count_by_level, outline, solid_angle_sr
 from simulator.study.coverage.prediction import left_out, predict
 from simulator.study.coverage.sensitivity import build_sensitivity

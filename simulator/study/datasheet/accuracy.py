@@ -12,9 +12,8 @@ from scipy.special import ndtri
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.study.datasheet.classes import CLASSES, Separated, separate
-from simulator.study.datasheet.estimates import Estimate, rms_of, upper_limit
 from simulator.study.datasheet.scan import ScanGeometry, scan_geometry
-from simulator.study.datasheet.sheet import LEVELS, Quantity
+from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, rms_of, upper_limit
 from simulator.study.datasheet.tasks import Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.intervals import ratios_of_rms

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from scipy.signal import csd
 from scipy.signal.windows import dpss
 
-from simulator.study.datasheet.estimates import Estimate
 from simulator.study.datasheet.scan import ScanGeometry
+from simulator.study.datasheet.sheet import Estimate
 from simulator.study.intervals import moment_intervals
 from startracker.arrays import FloatArray
 

@@ -10,9 +10,7 @@ import numpy as np
 
 from simulator.build import build_mounting
 from simulator.scenario import Scenario
-from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of
-from simulator.study.datasheet.plan import Amounts
-from simulator.study.datasheet.sheet import Quantity
+from simulator.study.datasheet.sheet import Amounts, Estimate, Quantity, mean_of, proportion, rms_of
 from simulator.study.datasheet.tasks import Task, TaskRunner, trial_tasks
 from startracker.arrays import Columns
 from startracker.constants import ARCSEC_PER_DEG

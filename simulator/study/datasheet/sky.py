@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.scenario import Scenario
 from simulator.study.coverage.survey import Coverage, coverage
-from simulator.study.datasheet.estimates import Estimate, cross_square_deg2, mean_of, proportion
-from simulator.study.datasheet.plan import Amounts
-from simulator.study.datasheet.sheet import Quantity
+from simulator.study.datasheet.sheet import Amounts, Estimate, Quantity, cross_square_deg2, mean_of, proportion
 from startracker.arrays import Columns
 from startracker.constants import ARCSEC_PER_DEG
 

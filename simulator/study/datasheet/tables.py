@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from simulator.study.datasheet.classes import CLASSES
-from simulator.study.datasheet.estimates import Estimate
-from simulator.study.datasheet.sheet import LEVELS, Quantity, select
+from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, select
 from simulator.study.datasheet.words import TERMS
 from simulator.study.html_page import Table
 from simulator.study.statistics import CAMERA_AXES

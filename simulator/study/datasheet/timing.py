@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from simulator.scenario import Scenario
-from simulator.study.datasheet.estimates import Estimate
-from simulator.study.datasheet.sheet import Quantity
+from simulator.study.datasheet.sheet import Estimate, Quantity
 from simulator.study.trials.trial import TrialRunner
 
 TIMED_TRIALS = 20

@@ -97,6 +97,16 @@ class Verified:
         have too few trials for that."""
         return "confirmed" if self.answer and self.answer.judgement.state == MET else "not contradicted"
 
+    def to_dict(self) -> dict[str, Any]:
+        """What ``design.json`` holds."""
+        best, answer = self.design.best, self.answer
+        last = answer or (self.runs[-1] if self.runs else None)
+        return self.design.to_dict() | {
+            "answer": answer.value if answer else best.value if best and not self.runs else None,
+            "verification": last.to_dict() if last else None,
+            "verifications": [run.to_dict() for run in self.runs],
+        }
+
     @property
     def contradicted(self) -> bool:
         """Whether no run confirms a value."""

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 _LEAST_CM2_S = 0.01
 
 
+def environment_figures(result: EnvironmentSurvey) -> dict[str, Figure]:
+    """All pictures by the names of their files."""
+    return {"particles": particles_figure(result), "ageing": ageing_figure(result)}
+
+
 def particles_figure(result: EnvironmentSurvey) -> Figure:
     """Particles through the detector over the first day, and their map along the ground track of a month."""
     figure, grid = picture(2, 1, (10, 8.6), height_ratios=(1.0, 1.25))

@@ -74,16 +74,6 @@ def _direction(diameter_px: float, sigma_px: float, *, sigma_known: bool) -> Flo
     return np.asarray(difference - basis @ (basis.T @ difference)).reshape(star.shape)
 
 
-def is_planet_score(stamp: FloatArray, noise: float) -> float:
-    """Correlation of a 5 × 5 image with the signature of a disk, in standard deviations of the noise: 0 ± 1 for a star.
-
-    The two-dimensional correlation of the thesis, after removal of a star's brightness, position and background. The
-    image is centred to a small fraction of a pixel; `noise` is the standard deviation of a pixel in its unit.
-    """
-    direction = _direction(0.5, THESIS_SIGMA, sigma_known=True)
-    return float((stamp * direction).sum() / (noise * np.linalg.norm(direction)))
-
-
 def planet_detectability(diameter_px: float, snr_db: float, *, sigma_known: bool = True) -> float:
     """Fraction of planets detected if 1 % of the stars are classified as planets: Φ(d' − z₀.₉₉), d' = |difference| /
     noise.

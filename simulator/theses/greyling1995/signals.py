@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.theses.greyling1995.comparators import compare_levels, even_levels
+from simulator.theses.greyling1995.converter import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import (
     COUNTS_PER_LINE,
     DUMMY_CELLS,
