@@ -13,18 +13,14 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.randomness import stream
 from simulator.sky.background import star_contrast
 from simulator.sky.star_counts import count_between, draw_magnitudes
+from startracker.arrays import FloatArray
 from startracker.attitude import radec_to_direction
 from startracker.constants import ARCSEC_RAD
-
-__all__ = ["FaintSky", "StarField"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _BAND_DEG = 4.0
 _CELL_REACH_RAD = math.radians(4.5)
