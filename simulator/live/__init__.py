@@ -1,0 +1,1 @@
+"""Cameras in the loop: the mission in real time, and the stimulator before a real star tracker."""
