@@ -15,10 +15,16 @@ from typing import Annotated, Any
 
 import typer
 
-from simulator.cli.export_request import ExportRequest
 from simulator.cli.options import ScenarioFile, ScenarioFiles, SetValues, as_command, option, switch
-from simulator.cli.photograph_requests import CalibrateRequest, SolveRequest
-from simulator.cli.run_requests import DatasheetRequest, RenderRequest, RunRequest, SweepRequest
+from simulator.cli.requests import (
+    CalibrateRequest,
+    DatasheetRequest,
+    ExportRequest,
+    RenderRequest,
+    RunRequest,
+    SolveRequest,
+    SweepRequest,
+)
 from simulator.cli.stimulate_command import stimulate_app
 from simulator.cli.study_command import study_app
 from simulator.cli.suggesting import SuggestingGroup, usage_error_line

@@ -1,1 +1,1 @@
-"""Cameras in the loop: the mission in real time, and the stimulator before a real star tracker."""
+"""Missions that run live: stepped by a clock, or by another simulator."""

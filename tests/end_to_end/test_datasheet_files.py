@@ -13,9 +13,10 @@ from pages import browser, faults, faults_on_paper
 
 from simulator import Scenario
 from simulator.study.datasheet import run
-from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.run import RESULT_FILES, datasheet
-from simulator.study.datasheet.tasks import PARTS_FOLDER, Columns, Interrupted, TaskRunner
+from simulator.study.datasheet.sheet import Amounts
+from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted, TaskRunner
+from startracker.arrays import Columns
 
 TINY = Amounts(5, 24, 8, 5, 1, 5, 12, 4, 400)
 REPRODUCED = [name for name in RESULT_FILES if name != "datasheet.timing.json"]

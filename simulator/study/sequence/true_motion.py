@@ -19,8 +19,6 @@ from simulator.scenario.schema import SequenceSection
 from simulator.scene import SceneBuilder
 from startracker.tracking import GyroNoise, RateNoise
 
-__all__ = ["jitter_at", "process_noise", "start_pointing", "states_at"]
-
 _LEAST_WALK = 1e-6
 """Minimum disturbance, rad/s/√s, assumed by the filter: a freely drifting body."""
 _FEWEST_FOR_WALK = 8
