@@ -202,7 +202,8 @@ class SceneBuilder:
         rows = {time: row for row, time in enumerate(times.tolist())}
         self._plan = (Instants.of(self.orbit, times, self.parameters.sky), rows)
 
-    def _instant_at(self, t_s: float) -> Instant:
+    def instant_at(self, t_s: float) -> Instant:
+        """Positions of spacecraft and bodies at a time, seconds after the epoch."""
         planned, rows = self._plan
         if planned is None or t_s not in rows:
             return Instants.of(self.orbit, np.array([t_s]), self.parameters.sky).at(0)
@@ -232,7 +233,7 @@ class SceneBuilder:
             Time, attitude, rate and jitter instead of those of the trial.
         """
         sky = self.parameters.sky
-        now = self.instant(index) if given.at_s is None else self._instant_at(float(given.at_s))
+        now = self.instant(index) if given.at_s is None else self.instant_at(float(given.at_s))
         observer, sun_au = now.observer, now.sun_au
         pointing = self._pointing(now, streams("pointing"), given)
         pointing, jitter = self._shaken(pointing, streams, given.jitter, exposure_s)
@@ -302,7 +303,7 @@ class SceneBuilder:
     def mounting_rotation_rad(self, t_s: float) -> FloatArray | None:
         """Thermo-elastic rotation vector (3,) of the mounting, camera axes, seconds after the epoch; None if there is
         none."""
-        return self._mounting_rotation_rad(self._instant_at(t_s))
+        return self._mounting_rotation_rad(self.instant_at(t_s))
 
     def _mounting_rotation_rad(self, now: Instant) -> FloatArray | None:
         given = self.parameters.pointing.thermo_elastic
