@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.exposure import Exposure, Motion, Paths
 from simulator.frame import TrueSources
@@ -47,12 +46,8 @@ from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import SOLAR_B_V
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
-
-__all__ = ["FocalPlane", "Illumination"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _EDGE_MARGIN_PX = 160.0
 """Stars up to this far outside the detector are rendered if their wings overlap it; those of 10⁶ electrons do."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.attitude_law import AttitudeLaw, common_span_s
 from simulator.mission.clock import Clock
@@ -41,6 +41,7 @@ from simulator.sky.parameters import Sky
 from simulator.sky.satellites import Look, SatelliteList, Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
@@ -48,9 +49,6 @@ from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.observer import Observer
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NEAR_BODY_RAD = math.radians(5.0)
 """Angular radius from which a body hides stars, and cannot be rendered: the disk of a spacecraft's orbit around it."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, picture_format, utc_time, writable
-from simulator.cli.run_requests import RenderRequest
+from simulator.cli.requests import RenderRequest
 from simulator.fits import write_fits
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import make_folder, write_atomically

@@ -29,25 +29,6 @@ _GRID_STEP_NM = 1.0
 _SQUARE_DEGREE_SR = math.radians(1.0) ** 2
 
 
-def integrate(photons: Curve, response: Curve) -> float:
-    """Electrons from the photons of a spectrum, ∫ n_λ η_λ dλ.
-
-    Parameters
-    ----------
-    photons : Curve
-        Photon flux density, photons cm⁻² s⁻¹ nm⁻¹.
-    response : Curve
-        Electrons per photon: transmission × quantum efficiency.
-
-    Returns
-    -------
-    float
-        Electrons cm⁻² s⁻¹.
-    """
-    product = photons * response
-    return float(np.trapezoid(product.value, product.wavelength_nm))
-
-
 @dataclass(frozen=True, eq=False)
 class Photometer:
     """Electron rates of stars for an aperture and a spectral response.

@@ -13,9 +13,10 @@ from pages import browser, faults, faults_on_paper, screens
 
 from simulator import Scenario
 from simulator.study.datasheet import run, tasks
-from simulator.study.datasheet.plan import Amounts
 from simulator.study.datasheet.run import RESULT_FILES, datasheet
-from simulator.study.datasheet.tasks import PARTS_FOLDER, Columns, Interrupted, Task, TaskRunner, run_task
+from simulator.study.datasheet.sheet import Amounts
+from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted, Task, TaskRunner, run_task
+from startracker.arrays import Columns
 
 TINY = Amounts(3, 24, 8, 5, 1, 5, 12, 4, 400)
 REPRODUCED = [name for name in RESULT_FILES if name != "datasheet.timing.json"]

@@ -6,7 +6,7 @@ import pytest
 
 from simulator.cli import _run
 from simulator.study.datasheet import run as datasheet_run
-from simulator.study.datasheet.plan import Amounts
+from simulator.study.datasheet.sheet import Amounts
 
 CAMERA = """\
 base: cubesat_ideal

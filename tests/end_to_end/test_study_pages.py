@@ -20,8 +20,7 @@ from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import judge
 from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare
-from simulator.study.sweep.compare_page import comparison_page
-from simulator.study.sweep.page import sweep_page
+from simulator.study.sweep.page import comparison_page, sweep_page
 from simulator.study.sweep.plots import sweep_figures
 
 DIGEST = "0123456789abcdef" * 4

@@ -11,8 +11,6 @@ from typing import TypeVar
 
 from startracker.errors import BoresightError
 
-__all__ = ["drawn_apart"]
-
 Content = TypeVar("Content")
 Page = TypeVar("Page")
 
