@@ -43,23 +43,6 @@ from simulator.sky.satellites import load_satellites
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 
-__all__ = [
-    "aged_detector",
-    "build_camera",
-    "build_damage",
-    "build_detector",
-    "build_focal_plane",
-    "build_mounting",
-    "build_orbit",
-    "build_scenes",
-    "build_transients",
-    "detector_parameters",
-    "lens_temperature",
-    "orbit_radiation_of",
-    "sequence_motion",
-    "shutter_of",
-]
-
 _LARGEST_IMAGE_PX = 512
 """Lines above and below the detector, in the images of whose stars a rolling shutter has rows."""
 

@@ -176,10 +176,7 @@ class Renderer:
         light = self.expose(scene, duration_s)
         moment = self._moment(scene, duration_s)
         readout = self.detector.expose(light.mean_e, moment, self._streams(index), keep_charge=False)
-        tag, late_s = scenario.detector.time_tag, 0.0
-        if tag != TimeTag():
-            late_s = tag.offset_s + tag.jitter_s * float(self._streams(index)("time tag").standard_normal())
-
+        late_s = self._time_tag_error_s(index)
         frame = Frame(
             image=readout.image,
             camera=self.camera,
@@ -210,6 +207,13 @@ class Renderer:
             mounting_rotation_rad=scene.pointing.mounting_rotation_rad,
         )
         return frame, truth
+
+    def _time_tag_error_s(self, index: int) -> float:
+        """Error of the stated time of a frame."""
+        tag = self.scenario.detector.time_tag
+        if tag == TimeTag():
+            return 0.0
+        return tag.offset_s + tag.jitter_s * float(self._streams(index)("time tag").standard_normal())
 
     def _moment(self, scene: Scene, exposure_s: float) -> Moment:
         """Time of a frame and particles at its position."""
