@@ -10,9 +10,9 @@ from live_page import WAIT_MS, Visit, chromium, says, until
 from pages import CONTRAST, OVERFLOW
 from PIL import Image
 from playwright.sync_api import expect
-from simulator.live.server import ServerOptions, serving
 
 from simulator import Scenario
+from simulator.live.server import ServerOptions, serving
 from simulator.study.sequence.run import run_sequence
 
 CAMERA = ["detector.width=192", "detector.height=192", "detector.pixel_pitch_um=29", "optics.psf.sigma_px=0.7"]

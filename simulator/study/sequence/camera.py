@@ -19,7 +19,6 @@ from simulator.scenario import Scenario
 from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.columns import (
     NO_FRAME,
-    attitude_columns,
     camera_error_deg,
     error_columns,
     is_wrong_attitude,
@@ -28,6 +27,7 @@ from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
 from simulator.study.trials.trial import (
+    attitude_columns,
     attitude_errors_deg,
     build_tracker,
     in_field,

@@ -1,0 +1,90 @@
+"""Other simulators: attitudes in lockstep over the wire give the answers of the mission in process; the C client."""
+
+import json
+import re
+import shutil
+import socket
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+
+from simulator.live.mission import LiveMission
+from simulator.live.motion import Given
+from simulator.live.server import ServerOptions, serving
+from simulator.scenario import Scenario
+from startracker import Attitude
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "live"
+SCENARIO = Scenario.load(EXAMPLES / "hold.yaml")
+FRAMES, RATE_DEG_S = 6, (0.02, -0.05, 0.1)
+
+
+@pytest.fixture(scope="module")
+def server():
+    with serving(SCENARIO, ServerOptions(port=0, tcp_port=0, lockstep=True)) as running:
+        yield running
+
+
+def attitudes():
+    """A camera that turns at a constant rate away from the Earth: times and quaternions."""
+    start = Attitude.from_radec_roll(95.0, 10.0, 30.0)
+    for k in range(FRAMES):
+        turn = Attitude.from_rotation_vector(np.radians(RATE_DEG_S) * 0.7 * k, "camera", "camera")
+        yield 0.7 * k, (turn @ start).quat.tolist()
+
+
+def test_answers_over_the_wire_are_those_in_process_bit_for_bit(server):
+    mission, answers = LiveMission(SCENARIO), []
+    mission.use_source(external=True)
+    for t_s, quaternion in attitudes():
+        live = mission.step(Given(t_s, tuple(quaternion), RATE_DEG_S), lockstep=True)
+        session = mission.camera.session
+        answers.append((live.tracked.row["status"], session.filter_attitude.quat, session.covariance[:3, :3]))
+
+    with socket.create_connection(("127.0.0.1", server.tcp_port), timeout=60.0) as line, line.makefile("rw") as wire:
+
+        def send(message):
+            wire.write(json.dumps(message) + "\n")
+            wire.flush()
+
+        def receive(kind):
+            while (message := json.loads(wire.readline()))["type"] != kind:
+                assert message["type"] != "error", message
+            return message
+
+        send({"type": "hello", "protocol": 1})
+        assert receive("welcome")["step_s"] == SCENARIO.sequence.step_s
+        send({"type": "subscribe", "channels": ["solution", "truth"]})
+        receive("reply")
+        for (t_s, quaternion), (status, quat, covariance) in zip(attitudes(), answers, strict=True):
+            send({"type": "attitude", "t_s": t_s, "quaternion": quaternion, "rate_deg_s": RATE_DEG_S})
+            solution = receive("solution")
+            assert (solution["t_s"], solution["status"]) == (t_s, status) == (t_s, "solved")
+            assert solution["quaternion"] == quat.tolist()
+            assert solution["covariance_rad2"] == covariance.tolist()
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_the_client_in_c(server, tmp_path):
+    """Compiled without a warning, from another folder; its errors are those of the camera: 30″ is four σ of the roll of
+    one frame, and a wrong sign or order of the quaternion gives degrees."""
+    program = tmp_path / "client"
+    strict = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
+    subprocess.run(["cc", *strict, "-o", program, EXAMPLES / "client.c", "-lm"], check=True)
+    # a new server: its times begin anew
+    with serving(SCENARIO, ServerOptions(port=0, tcp_port=0)) as own:
+        known = ["127.0.0.1", str(own.tcp_port), str(FRAMES)]
+        done = subprocess.run([program, *known], capture_output=True, text=True, timeout=120, check=True)
+    errors = [float(error) for error in re.findall(r"error +([0-9.]+) arcsec", done.stdout)]
+    assert len(errors) == len(done.stdout.splitlines()) == FRAMES
+    assert max(errors) < 30.0
+    assert min(errors) > 0.0
+    refused = subprocess.run([program, "127.0.0.1", "1", "3"], capture_output=True, text=True, check=False)
+    assert refused.returncode == 1
+    assert "cannot connect" in refused.stderr
+    assert "usage" in subprocess.run([program], capture_output=True, text=True, check=False).stderr
