@@ -64,7 +64,9 @@ class Lesson:
         page = self.page
         chart = page.evaluate("[...document.querySelectorAll('#errors')].map(n => n.ariaLabel)[0]") or ""
         figures = re.findall(r"rms ([\d.]+)″ = ([\d.]+) × bound ([\d.]+)", chart)
-        errors = ", ".join(f"{axis} {rms}″ = {ratio} × {bound}″" for axis, (rms, ratio, bound) in zip("xyz", figures))
+        errors = ", ".join(
+            f"{axis} {rms}″ = {ratio} × {bound}″" for axis, (rms, ratio, bound) in zip("xyz", figures, strict=False)
+        )
         text = f"{page.inner_text('#verdict-text')}; stars {page.inner_text('#sol-stars')}; {errors}"
         print(f"{what:28} {text}  [1σ {page.inner_text('#sol-sigma')}]", flush=True)
         return text
@@ -103,17 +105,18 @@ def bound(browser: Any) -> None:
 
 def rate(browser: Any) -> None:
     with lesson(browser, "cubesat_ideal") as does:
-        for value in (0.1, 0.3, 1.0, 2.0, 5.0):
-            does.enter("pointing.rate_deg_s.roll", value)
-            does.measure(f"rate roll {value:g}°/s")
-            if value == 1.0:
-                does.draw("live-rate.jpg", ".panel.frame")
-        does.enter("pointing.rate_deg_s.roll", 0.0)
-        does.measure("rate roll 0")
-        does.page.fill("#kick-rate", "3")
+        for value in (0.1, 0.3, 1.0):
+            does.enter("pointing.rate_deg_s.yaw", value)
+            does.measure(f"rate yaw {value:g}°/s")
+        does.draw("live-rate.jpg", ".panel.frame")
+        does.enter("pointing.rate_deg_s.yaw", 0.0)
+        does.frames(3)
+        does.says("rate yaw 0, 3 frames later")
+        does.enter("detector.exposure_s", 0.02)
+        does.page.fill("#kick-rate", "1")
+        does.page.select_option("#kick-axis", "2")
         does.page.click("#kick")
-        does.frames(5)
-        does.says("kick 3°/s")
+        does.measure("kick 1°/s, exposure 0.02 s")
 
 
 def blind(browser: Any) -> None:
@@ -129,6 +132,8 @@ def blind(browser: Any) -> None:
         does.says("first frame after")
         does.frames(15)
         does.says("later")
+        does.page.select_option("#window", "300")
+        does.page.wait_for_timeout(1000)
         does.draw("live-blind.jpg", ".panel.errors")
 
 
@@ -147,7 +152,9 @@ def age(browser: Any) -> None:
         does.frames(5)
         print(does.page.inner_text("#notice"))
         does.measure("South Atlantic Anomaly")
-        does.draw("live-anomaly.jpg")
+        does.enter("detector.exposure_s", 2.0)
+        does.measure("the same, exposure 2 s")
+        does.draw("live-anomaly.jpg", ".panel.frame")
 
 
 def main() -> None:
