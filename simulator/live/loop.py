@@ -298,7 +298,7 @@ class MissionLoop:
             try:
                 t_s = mission.time_of(message.time)
             except BoresightError as error:
-                raise Refused("invalid", f"time: {error}") from None
+                raise Refused("invalid", str(error)) from None
         assert t_s is not None
         given = Given(t_s, message.quaternion, message.rate_deg_s, received_s)
         if not self.lockstep:
