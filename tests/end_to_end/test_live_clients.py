@@ -4,6 +4,7 @@ import re
 import runpy
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
+from simulator.live.loop import MissionLoop
 from simulator.live.mission import LiveMission
 from simulator.live.motion import Given
 from simulator.live.server import ServerOptions, serving
@@ -57,6 +59,28 @@ def test_answers_over_the_wire_are_those_in_process_bit_for_bit(server):
     finally:
         camera.lines.close()
         camera.socket.close()
+
+
+def test_no_frame_of_the_scenario_follows_a_change_of_the_source(monkeypatch):
+    """While the change waits for the worker, a frame of the running mission falls due; it must not be made after the
+    change, where it would be at the time of the first attitude."""
+    change = MissionLoop._change_source
+
+    def slowly(loop, external):
+        time.sleep(3.0 * SCENARIO.sequence.step_s)
+        change(loop, external)
+
+    monkeypatch.setattr(MissionLoop, "_change_source", slowly)
+    with serving(SCENARIO, ServerOptions(port=0, tcp_port=0)) as running:
+        camera = Camera(running.tcp_port)
+        try:
+            (t_s, quaternion), *_ = attitudes()
+            solution = camera.expose(t_s, quaternion, RATE_DEG_S)
+        finally:
+            camera.lines.close()
+            camera.socket.close()
+    found = Attitude(np.array(solution["quaternion"]))
+    assert np.degrees(found.angle_to(Attitude(np.array(quaternion)))) < 0.01
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
