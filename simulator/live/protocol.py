@@ -52,7 +52,7 @@ class Refused(Exception):
     code : str
         For programs: ``malformed``, ``invalid``, ``hello_first``, ``token``, ``rate``, ``busy``, ``state``.
     reason : str
-        For people, one line.
+        For display, one line.
     message_id : str or int, optional
         The message's ``id``, if it could be read.
     """
@@ -197,7 +197,7 @@ class Saa(_Command):
 
 
 class Seek(_Command):
-    """Jump to a time; the tracker starts anew."""
+    """Jump to a time; the tracker starts again."""
 
     name: Literal["seek"]
     t_s: Seconds
@@ -205,7 +205,7 @@ class Seek(_Command):
 
 
 class Record(_Command):
-    """Begin a recording that ``boresight run --sequence`` reads; the tracker starts anew."""
+    """Begin a recording that ``boresight run --sequence`` reads; the tracker starts again."""
 
     name: Literal["record"]
     folder: Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
@@ -287,7 +287,7 @@ class Parameter(BaseModel):
     path: str
     """Its name in ``set``: a key of the scenario."""
     label: str
-    """For people."""
+    """For display."""
     group: str
     """Heading under which it may be listed: camera, detector, motion, age."""
     unit: str
@@ -372,7 +372,7 @@ class Error(ServerMessage):
     ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients; ``state``: not
     possible now; ``failed``: a frame could not be made."""
     reason: str
-    """One line for people."""
+    """One line for display."""
 
 
 class _OfFrame(ServerMessage):
@@ -526,7 +526,7 @@ class StateMessage(ServerMessage):
     late_frames: int
     """Frames made later than they were due by more than a step of the mission."""
     frame_rate_hz: float
-    """Frames a second of real time, over the last two seconds."""
+    """Frames per second of real time, over the last two seconds."""
     notice: str
     """What happened last without being asked for, such as the end of a recording; empty if nothing."""
     parameters: dict[str, float]

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.parameters import PointingParameters, SequenceMotion, Slew, Spin
@@ -27,12 +26,9 @@ from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.slews import trapezoid
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
-
-__all__ = ["BodyMotion", "MotionState", "RateProfile", "motion", "on_mounting", "rate_profile"]
-
-FloatArray = NDArray[np.float64]
 
 _LARGEST_TURN_RAD = 0.02
 """Maximum rotation in one step of the integration."""

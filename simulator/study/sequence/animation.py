@@ -20,11 +20,8 @@ from PIL import Image, ImageDraw, ImageFont
 from simulator.study.sequence.camera import TrackedFrame
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import INK, STYLE
+from startracker.arrays import Columns
 from startracker.errors import BoresightError
-
-__all__ = ["FrameView", "find_ffmpeg", "gif_bytes", "mp4_bytes", "pictures", "view_of"]
-
-Columns = dict[str, NDArray[Any]]
 
 SIDE_PX = 512
 """Longest side of the displayed frame."""

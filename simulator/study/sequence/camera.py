@@ -19,7 +19,6 @@ from simulator.scenario import Scenario
 from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.columns import (
     NO_FRAME,
-    attitude_columns,
     camera_error_deg,
     error_columns,
     is_wrong_attitude,
@@ -28,6 +27,7 @@ from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
 from simulator.study.trials.trial import (
+    attitude_columns,
     attitude_errors_deg,
     build_tracker,
     in_field,
@@ -35,6 +35,7 @@ from simulator.study.trials.trial import (
     mounting_columns,
     normalised_error_squared,
 )
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.kernels import clock
@@ -42,8 +43,6 @@ from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
 
 __all__ = ["LEAST_PRIOR_DEG", "Moment", "SequenceCamera", "TrackedFrame"]
-
-FloatArray = NDArray[np.float64]
 
 LEAST_PRIOR_DEG = 0.1
 _NO_WINDOWS: FloatArray = np.empty((0, 2))

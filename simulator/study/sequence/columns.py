@@ -1,4 +1,4 @@
-"""Columns of an attitude and of its errors, as in ``sequence.parquet``."""
+"""Columns of the errors of an attitude, as in ``sequence.parquet``."""
 
 from __future__ import annotations
 
@@ -6,32 +6,18 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import FrameTruth
 from simulator.renderer import Renderer
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, is_wrong
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
-from simulator.study.trials.systematic import explained_deg
-from simulator.study.trials.trial import attitude_errors_deg
+from simulator.study.trials.trial import attitude_errors_deg, explained_deg
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.solution import Solution
 
-__all__ = ["NO_FRAME", "attitude_columns", "camera_error_deg", "error_columns", "is_wrong_attitude"]
-
-FloatArray = NDArray[np.float64]
-
 NO_FRAME = "no_frame"
 """Status of a missing frame."""
-
-
-def attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
-    """Direction and quaternion of an attitude; NaN for None."""
-    values = [math.nan] * 7
-    if attitude is not None:
-        values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *(float(v) for v in attitude.quat)]
-    names = ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")
-    return dict(zip((f"{prefix}{name}" for name in names), values, strict=True))
 
 
 def error_columns(

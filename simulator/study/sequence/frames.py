@@ -7,7 +7,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.gyro import gyro_samples
 from simulator.mission.motion import MotionState, on_mounting
@@ -25,10 +24,9 @@ from simulator.study.sequence.true_motion import (
     start_pointing,
     states_at,
 )
+from startracker.arrays import FloatArray
 
 __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]
-
-FloatArray = NDArray[np.float64]
 
 MODES = ("tracking", "prior", "lost_in_space", "coasting", "none")
 """Source of the attitude of a frame: windows; whole frame near the prediction; whole frame and whole sky; prediction

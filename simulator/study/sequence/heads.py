@@ -10,7 +10,6 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import Frame
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, GyroSamples, gyro_samples
@@ -18,22 +17,19 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.heads import scenario_of_head
 from simulator.study.sequence.camera import LEAST_PRIOR_DEG, TrackedFrame
-from simulator.study.sequence.columns import attitude_columns, error_columns
+from simulator.study.sequence.columns import error_columns
 from simulator.study.sequence.head_camera import BodyState, HeadCamera
 from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification
-from simulator.study.trials.trial import mounting_columns
+from simulator.study.trials.trial import attitude_columns, mounting_columns
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import AlignedMekf, FusionFilter
 from startracker.kernels import clock
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
-
-__all__ = ["WAITING", "HeadsRunner"]
-
-FloatArray = NDArray[np.float64]
 
 WAITING = "waiting"
 """Status of a row whose frames are solved but have not yet reached the filter, which has no attitude."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.study.html_page import Table
 from simulator.study.sequence.columns import NO_FRAME
@@ -15,13 +14,10 @@ from simulator.study.sequence.time_axis import time_axis
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from simulator.study.texts import deg_text
+from startracker.arrays import Columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["heads_panels", "heads_table"]
-
-Columns = dict[str, NDArray[Any]]
 
 _HEADS = ((ORANGE, "."), (GREEN, "x"), (INK, "+"), (VERMILION, "1"))
 """Colour and marker of each head; the fifth has those of the first."""

@@ -15,13 +15,10 @@ from simulator.study.sequence.operation_plots import operation_panels
 from simulator.study.sequence.time_axis import step_s, time_axis
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
+from startracker.arrays import Columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["MODE_COLOURS", "MODE_TITLES", "draw_compared", "draw_error", "draw_modes", "panels"]
-
-Columns = dict[str, NDArray[Any]]
 
 MODE_COLOURS = {"tracking": GREEN, "prior": BLUE, "lost_in_space": ORANGE, "coasting": VERMILION, "none": SOFT}
 MODE_TITLES = {

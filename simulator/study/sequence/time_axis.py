@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from simulator.study.style import BLUE
+from startracker.arrays import Columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["draw_defects", "step_s", "time_axis"]
-
-Columns = dict[str, NDArray[Any]]
 
 
 def step_s(columns: Columns) -> float:
