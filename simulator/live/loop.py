@@ -129,7 +129,7 @@ class MissionLoop:
         return None
 
     async def _make(self, turn: _Turn) -> None:
-        """Make a frame and publish it; a failure stops the mission, or is reported to the one that gave the attitude."""
+        """Make a frame and publish it; a failure pauses the mission, or is the answer to the attitude in lockstep."""
         self._steps = max(self._steps - 1, 0)
         try:
             published = await self._in_worker(self._frame, turn)
