@@ -78,11 +78,12 @@ class MissionLoop:
         self._pending: dict[str, tuple[float, list[asyncio.Future[str]]]] = {}
         self._applying: asyncio.Task[None] | None = None
         self._closing = False
+        self._changing = False  # a frame decided on before a change of the source is not made after it
 
     # ------------------------------------------------------------------ the loop
     async def run(self) -> None:
         """Make frames until `close`."""
-        states = asyncio.create_task(self._tell_states())
+        states = asyncio.create_task(self._send_states())
         try:
             while not self._closing:
                 turn = await self._next_turn()
@@ -111,7 +112,7 @@ class MissionLoop:
         while not self._closing:
             self._wake.clear()
             wait_s = None
-            if not self.paused or self._steps:
+            if not self._changing and (not self.paused or self._steps):
                 if self.lockstep:
                     if self._queue:
                         return self._queue.popleft()
@@ -128,7 +129,7 @@ class MissionLoop:
         return None
 
     async def _make(self, turn: _Turn) -> None:
-        """Make a frame and publish it; a failure stops the mission, or is told to who gave the attitude."""
+        """Make a frame and publish it; a failure pauses the mission, or is the answer to the attitude in lockstep."""
         self._steps = max(self._steps - 1, 0)
         try:
             published = await self._in_worker(self._frame, turn)
@@ -188,7 +189,7 @@ class MissionLoop:
 
     @property
     def frame_rate_hz(self) -> float:
-        """Frames a second over the last two seconds."""
+        """Frames per second over the last two seconds."""
         since_s = time.perf_counter() - _RATE_WINDOW_S
         return sum(made_s > since_s for made_s in self._made_s) / _RATE_WINDOW_S
 
@@ -227,14 +228,14 @@ class MissionLoop:
             parameters=self._values,
         )
 
-    async def _tell_states(self) -> None:
-        """Tell the state when it has changed."""
+    async def _send_states(self) -> None:
+        """Send the state when it has changed."""
         before = None
         while True:
             await asyncio.sleep(_STATE_S)
             now = self.state()
             if now != before:
-                self.hub.tell(now)
+                self.hub.put_state(now)
                 before = now
 
     # ------------------------------------------------------------------ what clients ask
@@ -298,7 +299,7 @@ class MissionLoop:
             try:
                 t_s = mission.time_of(message.time)
             except BoresightError as error:
-                raise Refused("invalid", f"time: {error}") from None
+                raise Refused("invalid", str(error)) from None
         assert t_s is not None
         given = Given(t_s, message.quaternion, message.rate_deg_s, received_s)
         if not self.lockstep:
@@ -329,11 +330,15 @@ class MissionLoop:
         self._refuse_queue("the source has changed")
         changed = external != self.mission.external or lockstep != self.lockstep
         if changed:
-            await self._in_worker(self._change_source, external)
+            self._changing = True
+            try:
+                await self._in_worker(self._change_source, external)
+            finally:
+                self._changing = False
         self.lockstep, self._newest, self._due_s = lockstep, None, time.perf_counter()
 
     def _change_source(self, external: bool) -> None:
-        """In the worker: another source, or another way of external attitudes, for which the tracker starts anew."""
+        """In the worker: another source, or another way of external attitudes, for which the tracker starts again."""
         if external == self.mission.external:
             self.mission.use_source(external=False)
         self.mission.use_source(external=external)

@@ -1,10 +1,10 @@
 """Other simulators: attitudes in lockstep over the wire give the answers of the mission in process; the C client."""
 
-import json
 import re
+import runpy
 import shutil
-import socket
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
+from simulator.live.loop import MissionLoop
 from simulator.live.mission import LiveMission
 from simulator.live.motion import Given
 from simulator.live.server import ServerOptions, serving
@@ -20,6 +21,7 @@ from simulator.scenario import Scenario
 from startracker import Attitude
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "live"
+Camera = runpy.run_path(str(EXAMPLES / "client.py"))["Camera"]
 SCENARIO = Scenario.load(EXAMPLES / "hold.yaml")
 FRAMES, RATE_DEG_S = 6, (0.02, -0.05, 0.1)
 
@@ -46,27 +48,39 @@ def test_answers_over_the_wire_are_those_in_process_bit_for_bit(server):
         session = mission.camera.session
         answers.append((live.tracked.row["status"], session.filter_attitude.quat, session.covariance[:3, :3]))
 
-    with socket.create_connection(("127.0.0.1", server.tcp_port), timeout=60.0) as line, line.makefile("rw") as wire:
-
-        def send(message):
-            wire.write(json.dumps(message) + "\n")
-            wire.flush()
-
-        def receive(kind):
-            while (message := json.loads(wire.readline()))["type"] != kind:
-                assert message["type"] != "error", message
-            return message
-
-        send({"type": "hello", "protocol": 1})
-        assert receive("welcome")["step_s"] == SCENARIO.sequence.step_s
-        send({"type": "subscribe", "channels": ["solution", "truth"]})
-        receive("reply")
+    camera = Camera(server.tcp_port)
+    try:
+        assert camera.welcome["step_s"] == SCENARIO.sequence.step_s
         for (t_s, quaternion), (status, quat, covariance) in zip(attitudes(), answers, strict=True):
-            send({"type": "attitude", "t_s": t_s, "quaternion": quaternion, "rate_deg_s": RATE_DEG_S})
-            solution = receive("solution")
+            solution = camera.expose(t_s, quaternion, RATE_DEG_S)
             assert (solution["t_s"], solution["status"]) == (t_s, status) == (t_s, "solved")
             assert solution["quaternion"] == quat.tolist()
             assert solution["covariance_rad2"] == covariance.tolist()
+    finally:
+        camera.lines.close()
+        camera.socket.close()
+
+
+def test_no_frame_of_the_scenario_follows_a_change_of_the_source(monkeypatch):
+    """While the change waits for the worker, a frame of the running mission falls due; it must not be made after the
+    change, where it would be at the time of the first attitude."""
+    change = MissionLoop._change_source
+
+    def slowly(loop, external):
+        time.sleep(3.0 * SCENARIO.sequence.step_s)
+        change(loop, external)
+
+    monkeypatch.setattr(MissionLoop, "_change_source", slowly)
+    with serving(SCENARIO, ServerOptions(port=0, tcp_port=0)) as running:
+        camera = Camera(running.tcp_port)
+        try:
+            (t_s, quaternion), *_ = attitudes()
+            solution = camera.expose(t_s, quaternion, RATE_DEG_S)
+        finally:
+            camera.lines.close()
+            camera.socket.close()
+    found = Attitude(np.array(solution["quaternion"]))
+    assert np.degrees(found.angle_to(Attitude(np.array(quaternion)))) < 0.01
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")

@@ -35,6 +35,7 @@ from simulator.study.trials.trial import (
     mounting_columns,
     normalised_error_squared,
 )
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.kernels import clock
@@ -42,8 +43,6 @@ from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
 
 __all__ = ["LEAST_PRIOR_DEG", "Moment", "SequenceCamera", "TrackedFrame"]
-
-FloatArray = NDArray[np.float64]
 
 LEAST_PRIOR_DEG = 0.1
 _NO_WINDOWS: FloatArray = np.empty((0, 2))
