@@ -7,15 +7,9 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from simulator.live.answers import FrameHeader, ServerMessage, SolutionMessage, StateMessage, TruthMessage
 from simulator.live.images import Encoded
-from simulator.live.protocol import (
-    FrameHeader,
-    ServerMessage,
-    SolutionMessage,
-    StateMessage,
-    Subscribe,
-    TruthMessage,
-)
+from simulator.live.protocol import Subscribe
 
 __all__ = ["Hub", "Outgoing", "Published", "Subscriber"]
 
