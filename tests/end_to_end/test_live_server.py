@@ -17,6 +17,7 @@ from simulator.checks import load_scenario
 from simulator.cli.application import run_application
 from simulator.live.server import LiveServer, ServerOptions
 from simulator.study.sequence.frames import SequenceRunner
+from startracker.attitude import Attitude
 from startracker.errors import InputError
 
 CLIENT = Path(__file__).parents[2] / "examples/live/client.py"
@@ -288,16 +289,20 @@ def test_the_example_client_gets_attitudes():
     spec = spec_from_file_location("live_example", CLIENT)
     example = module_from_spec(spec)
     spec.loader.exec_module(example)
-    with running(small(), paused=False) as server:
+    with running(small(), lockstep=True) as server:  # from the first frame on, so that the noise is always the same
         camera = example.Camera(server.tcp_port)
         for k in range(3):
+            given, _ = example.attitude_at(0.5 * k)
             found = camera.expose(0.5 * k, *example.attitude_at(0.5 * k))
         camera.lines.close()
         camera.socket.close()
     assert found["status"] == "solved"
-    assert found["ra_deg"] == pytest.approx(90.0, abs=0.02)  # a few arcseconds, 2 pixels at most
-    assert found["dec_deg"] == pytest.approx(0.0, abs=0.02)
-    assert found["rate_deg_s"][2] == pytest.approx(0.05, abs=0.02)
+    assert Attitude(given).ra_deg == pytest.approx(90.0)
+    assert Attitude(given).dec_deg == pytest.approx(0.0, abs=1e-9)
+    error_rad = Attitude(given).rotation_vector_to(Attitude(found["quaternion"]))
+    covariance = np.array(found["covariance_rad2"])
+    # a normalised error squared beyond 31.8 is as rare as a Gaussian deviate beyond 5 σ
+    assert error_rad @ np.linalg.solve(covariance, error_rad) < 31.8
     assert len(CLIENT.read_text().splitlines()) <= 50
 
 
