@@ -265,8 +265,8 @@ class FocalPlane:
         motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
         paths = exposure.paths(camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, _EDGE_MARGIN_PX)
         nm = np.full(len(seen.rows), float(self.photometer.effective_wavelength_nm(SOLAR_B_V, 0.0)))
-        paths = paths._replace(xy=self.displacement.moved(paths.xy, nm))
-        self._draw_points(mean_e, np.arange(len(nm)), nm, seen.xy, paths)
+        shift = self.displacement.moved(seen.xy, nm) - seen.xy  # the same along a star's path, within 0.001 px
+        self._draw_points(mean_e, np.arange(len(nm)), nm, seen.xy, paths._replace(xy=paths.xy + shift[:, None, :]))
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         if self.ghosts:

@@ -6,7 +6,9 @@ stream.
 
 from __future__ import annotations
 
+import copy
 import functools
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,13 @@ from simulator.scene import GivenState, Scene
 from startracker.attitude import Attitude
 from startracker.interop import is_rotation
 
+_OF_SCENES = ("detector.height", "detector.shutter", "detector.line_time_us")
+"""Keys of the detector on which the scenes depend."""
+_OF_READOUT = (
+    *("detector.exposure_s", "detector.gain_e_per_dn", "detector.temperature_c", "detector.hot_pixel_"),
+    *("detector.dark_current_e_s", "detector.read_noise_e", "detector.offset_dn", "detector.dsnu", "detector.prnu"),
+)
+"""Keys on which the focal plane does not depend."""
 _LEAST_PRIOR_DEG = 0.1
 """Minimum error of the prior, also if the scenario states no pointing error."""
 
@@ -83,6 +92,28 @@ class Renderer:
 
     def __repr__(self) -> str:
         return f"Renderer({self.scenario!r})"
+
+    def changed(self, values: Mapping[str, Any]) -> Renderer:
+        """Renderer of `Scenario.changed` with these values, which shares all parts that do not depend on them.
+
+        Its frames are those of a new renderer of that scenario. `ScenarioError` for values that are not valid.
+        """
+        scenario, other = self.scenario.changed(values), copy.copy(self)
+        device = self.detector.parameters
+        other.scenario, other.parameters = scenario, flat_parameters(scenario)
+        other.exposure_s, other.shutter = scenario.detector.exposure_s, shutter_of(scenario.detector)
+        if not _only(values, ("optics.", "detector.", "environment."), _OF_SCENES):
+            other.scenes = build_scenes(scenario)
+        if not _only(values, _OF_READOUT):
+            other.focal_plane = build_focal_plane(scenario, self.seed)
+            other.camera = other.focal_plane.camera
+        if not _only(values, ("optics.", "detector.exposure_s")):
+            other.detector = build_detector(scenario, self.seed)
+            device = other.detector.parameters
+        if not _only(values, ("optics.", "detector.")):
+            other.transients = build_transients(scenario)
+        other._read_noise_e = electronics_noise_e(device) / bunch_e(device)
+        return other
 
     def scene(
         self,
@@ -191,6 +222,11 @@ class Renderer:
 
     def _streams(self, index: int) -> Streams:
         return functools.partial(_stream_of_trial, self.seed, index)
+
+
+def _only(paths: Iterable[str], shared: tuple[str, ...], except_for: tuple[str, ...] = ()) -> bool:
+    """Whether all paths begin with one of `shared`, and none with one of `except_for`."""
+    return all(path.startswith(shared) and not path.startswith(except_for) for path in paths)
 
 
 def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
