@@ -116,7 +116,8 @@ export class FrameView {
     const current = solution && frame && Math.abs(solution.index - frame.index) <= 1 && !this.store.blinded;
     context.font = FONT;
     if (current && this.store.solved && this.show.grid) drawGrid(context, matrixOf(solution.quaternion), this.lens, at, [width, height]);
-    if (current && this.show.detections) this.#detections(context, solution.detections, at);
+    const marked = this.show.stars ? solution?.stars ?? [] : [];
+    if (current && this.show.detections) this.#detections(context, others(solution.detections, marked), at);
     if (current && (this.show.stars || this.show.names)) this.#stars(context, solution.stars, at, width);
     this.#crosshair(context, at);
     this.#veil();
@@ -212,6 +213,11 @@ export class FrameView {
     veil.hidden = !text;
     if (veil.textContent !== text) veil.textContent = text;
   }
+}
+
+/** Detections other than those marked as stars. */
+function others(detections, stars) {
+  return detections.filter(([x, y]) => !stars.some((star) => Math.abs(star.x - x) < 1 && Math.abs(star.y - y) < 1));
 }
 
 /** A covered camera: hatched, so that it is not taken for a dark sky. */

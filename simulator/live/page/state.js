@@ -1,5 +1,7 @@
 // What the page knows: the newest of each message, and bounded histories of error and path.
 
+import { ARCSEC } from "./vectors.js";
+
 const HISTORY = 30000; // frames; 10 minutes at 50 frames a second
 const JUMP_STEPS = 30; // a longer step of time than so many frames is a jump, drawn as a short break
 
@@ -105,7 +107,7 @@ export class Store extends EventTarget {
       blinded: Boolean(truth.blinded),
       error: solved ? truth.error_arcsec : null,
       bound: truth.bound_arcsec ?? null,
-      stated: covariance ? covariance.map((row, i) => Math.sqrt(row[i]) * 206264.806) : null,
+      stated: covariance ? covariance.map((row, i) => Math.sqrt(row[i]) / ARCSEC) : null,
       radec: solved ? [solution.ra_deg, solution.dec_deg] : null,
     });
     this.dispatchEvent(new Event("history"));
