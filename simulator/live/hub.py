@@ -66,7 +66,7 @@ class Subscriber:
             self._newest = published
             self._filled.set()
 
-    def tell(self, state: StateMessage) -> None:
+    def put_state(self, state: StateMessage) -> None:
         """Put a state into the outbox."""
         if self.wants is not None and "state" in self.wants.channels:
             self._state = state
@@ -137,7 +137,7 @@ class Hub:
         for subscriber in self.subscribers:
             subscriber.publish(published)
 
-    def tell(self, state: StateMessage) -> None:
+    def put_state(self, state: StateMessage) -> None:
         """Give a state to all who want it."""
         for subscriber in self.subscribers:
-            subscriber.tell(state)
+            subscriber.put_state(state)

@@ -52,7 +52,7 @@ class Refused(Exception):
     code : str
         For programs: ``malformed``, ``invalid``, ``hello_first``, ``token``, ``rate``, ``busy``, ``state``.
     reason : str
-        For people, one line.
+        For display, one line.
     message_id : str or int, optional
         The message's ``id``, if it could be read.
     """
@@ -179,7 +179,7 @@ class Blind(_Command):
 
     name: Literal["blind"]
     head: Name | None = None
-    """Name of the camera's head; None: the one that is served."""
+    """Name of the camera's head; without it, the one that is served."""
 
 
 class Unblind(_Command):
@@ -197,7 +197,7 @@ class Saa(_Command):
 
 
 class Seek(_Command):
-    """Jump to a time; the tracker starts anew."""
+    """Jump to a time; the tracker starts again."""
 
     name: Literal["seek"]
     t_s: Seconds
@@ -205,11 +205,11 @@ class Seek(_Command):
 
 
 class Record(_Command):
-    """Begin a recording that ``boresight run --sequence`` reads; the tracker starts anew."""
+    """Begin a recording that ``boresight run --sequence`` reads; the tracker starts again."""
 
     name: Literal["record"]
     folder: Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
-    """Name of a new folder within the server's folder of recordings; None: the time of day."""
+    """Name of a new folder within the server's folder of recordings; by default the date and time."""
 
 
 class StopRecording(_Command):
@@ -287,7 +287,7 @@ class Parameter(BaseModel):
     path: str
     """Its name in ``set``: a key of the scenario."""
     label: str
-    """For people."""
+    """For display."""
     group: str
     """Heading under which it may be listed: camera, detector, motion, age."""
     unit: str
@@ -356,6 +356,7 @@ class Reply(ServerMessage):
     id: str | int | None = None
     """That of the client's message."""
     ok: Literal[True] = True
+    """Always true."""
     detail: str = ""
     """What was done, where that is not evident: the folder of a recording, the time of a jump."""
 
@@ -368,10 +369,10 @@ class Error(ServerMessage):
     """That of the client's message, if it could be read."""
     code: str
     """``malformed``: not a JSON object, or too large; ``invalid``: a field is unknown, missing, or out of its range;
-    ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients or attitudes; ``state``: not
+    ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients; ``state``: not
     possible now; ``failed``: a frame could not be made."""
     reason: str
-    """One line for people."""
+    """One line for display."""
 
 
 class _OfFrame(ServerMessage):
@@ -382,7 +383,7 @@ class _OfFrame(ServerMessage):
     time: str
     """The same as UTC, ISO 8601."""
     missed: int = 0
-    """Frames omitted since the last one sent to this client on this channel, because it was slow."""
+    """Frames omitted since the last one sent to this client, because it was slow."""
 
 
 class FrameHeader(_OfFrame):
@@ -428,7 +429,8 @@ class SolutionMessage(_OfFrame):
     channel = "solution"
     type: Literal["solution"] = "solution"
     status: str
-    """``solved``, the reason's class (`Status` of the tracker), or ``no_frame``."""
+    """``solved``, why not (`startracker.solution.Status`), or ``no_frame``; with ``sequence.operation`` also
+    ``discarded`` and ``suspended``."""
     reason: str
     """In words."""
     mode: str
@@ -524,7 +526,7 @@ class StateMessage(ServerMessage):
     late_frames: int
     """Frames made later than they were due by more than a step of the mission."""
     frame_rate_hz: float
-    """Frames a second of real time, over the last two seconds."""
+    """Frames per second of real time, over the last two seconds."""
     notice: str
     """What happened last without being asked for, such as the end of a recording; empty if nothing."""
     parameters: dict[str, float]

@@ -75,7 +75,7 @@ class Session:
                 raise Refused("hello_first", "the first message must be a hello")
             if isinstance(message, Subscribe):
                 self.subscriber.wants = message
-                self.subscriber.tell(self.loop.state())
+                self.subscriber.put_state(self.loop.state())
                 detail = ""
             else:
                 detail = await self.loop.handle(message)
