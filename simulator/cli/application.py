@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from simulator.cli.live_request import ServeRequest
 from simulator.cli.options import ScenarioFile, ScenarioFiles, SetValues, as_command, option, switch
 from simulator.cli.requests import (
     CalibrateRequest,
@@ -124,6 +125,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
     ("sweep", as_command(SweepRequest, "sweep_command"), _SIMULATE,
      "boresight sweep cubesat --over optics.aperture_mm=6:24:7"),
     ("datasheet", as_command(DatasheetRequest, "datasheet_command"), _SIMULATE, "boresight datasheet cubesat --quick"),
+    ("serve", as_command(ServeRequest, "serve_command"), _SIMULATE, "boresight serve cubesat"),
     ("solve", as_command(SolveRequest, "solve_command"), _SOLVE, "boresight solve photo.jpg --annotate solved.png"),
     ("calibrate", as_command(CalibrateRequest, "calibrate_command"), _SOLVE,
      "boresight calibrate *.tiff --out camera.yaml --plot fit.png"),

@@ -15,6 +15,7 @@ from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
 from startracker.errors import InputError
 from startracker.front_end import Clock, find_stars
+from startracker.given_image import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings
 
 __all__ = ["Dots", "Photograph", "SquareFluxes", "find_dots", "square_fluxes"]
@@ -91,13 +92,12 @@ def find_dots(photograph: Photograph, pattern: Pattern) -> Dots:
     """
     photograph.refuse_saturated()
     found = find_stars(
-        photograph.image,
+        GivenImage(photograph.image, saturation_dn=photograph.saturation_dn),
         DETECTORS["components"],
         CENTROIDERS["least_squares"],
         DetectionSettings(max_stars=3 * len(pattern.lattice)),
         CentroidSettings(),
         Clock(),
-        saturation_dn=photograph.saturation_dn,
     )
     name = photograph.name
     if found.status is not None:

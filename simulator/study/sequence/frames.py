@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from simulator.mission.gyro import gyro_samples
-from simulator.mission.motion import on_mounting
+from simulator.mission.motion import MotionState, on_mounting
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -17,7 +17,13 @@ from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.camera import LEAST_PRIOR_DEG, Moment, SequenceCamera, TrackedFrame
 from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.operation import OperatedCamera
-from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
+from simulator.study.sequence.true_motion import (
+    jitter_at,
+    process_noise,
+    recorded_states,
+    start_pointing,
+    states_at,
+)
 from startracker.arrays import FloatArray
 
 __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]
@@ -46,10 +52,12 @@ class SequenceRunner:
         self.camera = SequenceCamera(scenario, self.renderer, self.start, single=single)
         self.tracker = self.camera.tracker
         self.since_s = [k * section.step_s for k in range(section.frames)]
-        self.states = states_at(scenario, self.renderer.scenes, self.start, self.since_s)
+        self.states = self._states()
         self.renderer.scenes.plan([state.t_s for state in self.states])
         self.rotations_rad = [self.renderer.scenes.mounting_rotation_rad(state.t_s) for state in self.states]
-        self.states = [on_mounting(state, turn) for state, turn in zip(self.states, self.rotations_rad, strict=True)]
+        if section.recording is None:
+            pairs = zip(self.states, self.rotations_rad, strict=True)
+            self.states = [on_mounting(state, rotation_rad) for state, rotation_rad in pairs]
         self.shaking = jitter_at(scenario, self.renderer.scenes, self.since_s)
         moments, exposure_s = [self._moment(k) for k in range(section.frames)], self.renderer.exposure_s
         self.cameras = [moment.camera(exposure_s) for moment in moments]
@@ -63,6 +71,13 @@ class SequenceRunner:
                 section.gyro, np.reshape(turns, (-1, 3)), section.step_s, stream(scenario.seed, "gyro")
             )
         self.noise = process_noise(section, self.states, self.shaking, exposure_s)
+
+    def _states(self) -> list[MotionState]:
+        """True states without jitter, and those of the scenario without the rotation of the mounting."""
+        scenes = self.renderer.scenes
+        if self.scenario.sequence.recording is not None:
+            return recorded_states(self.scenario, scenes, self.since_s)
+        return states_at(self.scenario, scenes, self.start, self.since_s)
 
     @property
     def operated(self) -> OperatedCamera | None:
