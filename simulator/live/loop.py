@@ -134,7 +134,8 @@ class MissionLoop:
                     if wait_s <= 0.0:
                         return _Turn(self._due_s, newest)
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._wake.wait(), wait_s)
+                async with asyncio.timeout(wait_s):
+                    await self._wake.wait()
         return None
 
     async def _make(self, turn: _Turn) -> None:
