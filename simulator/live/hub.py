@@ -41,7 +41,7 @@ class Published:
     """None if no client wants it."""
     frames: dict[str, tuple[FrameHeader, Encoded]]
     """By format, those that a client wants; empty without a frame."""
-    stimulus: StimulusMessage | None = None
+    stimulus: tuple[StimulusMessage, bytes] | None = None
     """None if no client wants it."""
 
 
@@ -120,7 +120,8 @@ class Subscriber:
         if published.truth is not None and self.wants_frame(index, "truth"):
             taken.append(Outgoing(published.truth.model_copy(update=missed)))
         if published.stimulus is not None and self.wants_frame(index, "stimulus"):
-            taken.append(Outgoing(published.stimulus.model_copy(update=missed)))
+            message, pixels = published.stimulus
+            taken.append(Outgoing(message.model_copy(update=missed), pixels))
         return taken
 
 

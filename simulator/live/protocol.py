@@ -512,29 +512,39 @@ class Picture(BaseModel):
     model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
     t_s: float
     """When it is to be shown, s after the scenario's epoch."""
-    pixels: list[int]
-    """Column, row, and levels of red, green and blue (0 to 255) of each lit pixel in turn; all others are black."""
+    pixels: int
+    """Number of lit pixels; all others are black."""
 
 
 class StimulusMessage(_OfFrame):
-    """Pictures from one frame to the next, for the true attitude at the frame, turned on with the true rate."""
+    """Pictures from one frame to the next, for the true attitude at the frame, turned on with the true rate.
+
+    The lit pixels of all pictures in turn follow as one binary message, or over TCP as base64 in ``data``: eight bytes
+    each, column and row as little-endian 16-bit integers, levels of red, green and blue from 0 to 255, and a zero.
+    """
 
     channel = "stimulus"
     type: Literal["stimulus"] = "stimulus"
     width: int
+    """Columns of the display."""
     height: int
-    """Size of the display, pixels."""
+    """Rows of the display."""
     speed: float
     """Factor on real time."""
     paced: bool
     """Whether the pictures follow the clock; otherwise (paused, or in lockstep) there is one, to be shown at once."""
     pictures: list[Picture]
     """In the order of their times."""
+    bytes: int
+    """Number of bytes that follow."""
     stars: int
+    """Stars in the first picture."""
     clipped: int
+    """Those with a pixel beyond the display's brightest level."""
     faint: int
-    """Of the first picture: stars on the display, stars with a pixel beyond its brightest level, and stars whose
-    brightness is wrong by more than 0.1 mag as its levels are too coarse."""
+    """Those whose brightness is wrong by more than 0.1 mag, as the levels are too coarse for them."""
+    data: str | None = None
+    """TCP only: the bytes as base64."""
 
 
 class StateMessage(ServerMessage):
@@ -583,5 +593,5 @@ SERVER_MESSAGES: dict[str, type[ServerMessage]] = {
 
 def dump(message: ServerMessage) -> str:
     """A message as one line of JSON."""
-    excluded: Any = {"data"} if isinstance(message, FrameHeader) and message.data is None else None
+    excluded: Any = {"data"} if isinstance(message, FrameHeader | StimulusMessage) and message.data is None else None
     return message.model_dump_json(exclude=excluded)

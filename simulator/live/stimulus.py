@@ -16,6 +16,9 @@ _MOST_PICTURES = 240
 """In one message; a mission with longer steps has its pictures at longer intervals."""
 
 
+_PIXEL = np.dtype([("at", "<u2", 2), ("rgb", "u1", 3), ("zero", "u1")])
+
+
 class Stimulus:
     """A display before a real tracker, refreshed at a rate of its own.
 
@@ -31,7 +34,7 @@ class Stimulus:
         self.stimulator, self.refresh_hz = stimulator, refresh_hz
         self._number = 0
 
-    def message(self, live: LiveFrame, span_s: float, speed: float) -> StimulusMessage:
+    def message(self, live: LiveFrame, span_s: float, speed: float) -> tuple[StimulusMessage, bytes]:
         """Pictures from a frame on: its true attitude, turned on with its rate.
 
         Parameters
@@ -42,6 +45,10 @@ class Stimulus:
             Mission time until the next frame; 0: one picture, of the frame itself.
         speed : float
             Factor on real time.
+
+        Returns
+        -------
+        The message, and the bytes that follow it.
         """
         renderer, t_s, truth = live.renderer, live.moment.state.t_s, live.tracked.truth
         exposure_s = renderer.exposure_s
@@ -53,6 +60,7 @@ class Stimulus:
         directions, magnitude = point_sources(scene, renderer.focal_plane)
         count = max(1, min(round(span_s / speed * self.refresh_hz), _MOST_PICTURES))
         pictures: list[Picture] = []
+        parts: list[bytes] = []
         first: DisplayPicture | None = None
         for k in range(count):
             at_s = t_s + k * span_s / count
@@ -60,11 +68,14 @@ class Stimulus:
             shown = self.stimulator.picture(camera, directions, magnitude, self._number)
             self._number += 1
             first = first or shown
-            pixels = np.column_stack([shown.pixels, shown.rgb]).ravel()
-            pictures.append(Picture(t_s=at_s, pixels=pixels.tolist()))
+            table = np.zeros(len(shown.pixels), _PIXEL)
+            table["at"], table["rgb"] = shown.pixels, shown.rgb
+            pictures.append(Picture(t_s=at_s, pixels=len(table)))
+            parts.append(table.tobytes())
         assert first is not None
         width, height = self.stimulator.geometry.size
-        return StimulusMessage(
+        data = b"".join(parts)
+        message = StimulusMessage(
             index=live.index,
             t_s=t_s,
             time=renderer.scenes.clock.isot(t_s),
@@ -76,4 +87,6 @@ class Stimulus:
             stars=len(first.star),
             clipped=int(first.clipped.sum()),
             faint=int(first.faint.sum()),
+            bytes=len(data),
         )
+        return message, data

@@ -87,7 +87,12 @@ def test_each_pixel_of_the_screen_has_the_level_of_the_list(page, files):
     for one in lists:  # the second picture leaves nothing of the first
         expected = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
         expected[one.pixels[:, 1], one.pixels[:, 0]] = one.rgb
-        page.evaluate("(pixels) => window.shown.show(pixels)", np.column_stack([one.pixels, one.rgb]).ravel().tolist())
+        table = np.zeros(len(one.pixels), np.dtype([("at", "<u2", 2), ("rgb", "u1", 3), ("zero", "u1")]))
+        table["at"], table["rgb"] = one.pixels, one.rgb
+        page.evaluate(
+            "(b) => window.shown.show({ data: new Uint8Array(b).buffer, first: 1, pixels: b.length / 8 - 1 })",
+            [255] * 8 + list(table.tobytes()),
+        )
         assert np.array_equal(on_screen(page), expected)
 
 
@@ -106,7 +111,7 @@ SCHEDULE = """async ({ messages, ticks, period }) => {
 
 
 def message(index, arrival, count=4, paced=True):
-    pictures = [{"t_s": 0.04 * index + 0.01 * k, "pixels": []} for k in range(count)]
+    pictures = [{"t_s": 0.04 * index + 0.01 * k, "pixels": 0} for k in range(count)]
     return {"index": index, "t_s": 0.04 * index, "speed": 1.0, "paced": paced, "pictures": pictures, "arrival": arrival}
 
 
@@ -192,22 +197,24 @@ def test_pictures_of_a_message_lead_to_the_next_one(server):
 
     mission = LiveMission(server.mission.scenario)
     stimulus, step_s = Stimulus(DISPLAY, 20.0), 0.25
-    first = stimulus.message(mission.step(), step_s, 1.0)
+    first, pixels = stimulus.message(mission.step(), step_s, 1.0)
     frame = mission.step()
-    second = stimulus.message(frame, step_s, 1.0)
+    second, following = stimulus.message(frame, step_s, 1.0)
+    assert (first.bytes, second.bytes) == (len(pixels), len(following))
     assert [picture.t_s - first.t_s for picture in first.pictures] == pytest.approx(0.05 * np.arange(5))
-    last, following = (centroid(one) for one in (first.pictures[-1], second.pictures[0]))
-    before = centroid(first.pictures[-2])
+    end = np.cumsum([0, *(8 * picture.pixels for picture in first.pictures)])
+    assert end[-1] == first.bytes
+    before, last = centroid(pixels[end[3] : end[4]]), centroid(pixels[end[4] :])
     # the stars go on as they went: half a degree a second is 1.2 px a picture
-    assert following - last == pytest.approx(last - before, abs=0.1)
+    assert centroid(following[: 8 * second.pictures[0].pixels]) - last == pytest.approx(last - before, abs=0.1)
     assert np.abs(last - before).max() > 0.5
-    assert stimulus.message(frame, 0.0, 1.0).paced is False
+    assert stimulus.message(frame, 0.0, 1.0)[0].paced is False
 
 
-def centroid(picture):
+def centroid(pixels):
     """Of the brightest pixel's surroundings."""
-    table = np.array(picture.pixels).reshape(-1, 5).astype(float)
-    brightest = table[np.argmax(table[:, 2:].sum(axis=1))]
-    near = np.abs(table[:, :2] - brightest[:2]).max(axis=1) < 4
-    weight = ((table[near, 2:] / 255) ** 2.2).sum(axis=1)
-    return weight @ table[near, :2] / weight.sum()
+    table = np.frombuffer(pixels, np.dtype([("at", "<u2", 2), ("rgb", "u1", 3), ("zero", "u1")]))
+    at, levels = table["at"].astype(float), table["rgb"].astype(float)
+    near = np.abs(at - at[np.argmax(levels.sum(axis=1))]).max(axis=1) < 4
+    weight = ((levels[near] / 255) ** 2.2).sum(axis=1)
+    return weight @ at[near] / weight.sum()

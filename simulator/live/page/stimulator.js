@@ -34,7 +34,7 @@ function refresh(now) {
   const picture = schedule.next(now, periodMs);
   if (picture) {
     screen.resize(newest.width, newest.height);
-    screen.show(picture.pixels);
+    screen.show(picture);
   }
   if (now - reported > REPORT_MS && feed.open && newest) {
     reported = now;

@@ -28,18 +28,16 @@ export class Screen {
     canvas.style.height = `${height / devicePixelRatio}px`;
   }
 
-  /** Show pixels [x, y, red, green, blue, x, y, ...]; all others become black. */
-  show(pixels) {
-    const { data, width, height } = this.#image;
+  /** Show a picture's lit pixels, eight bytes each (column, row, red, green, blue, 0); all others become black. */
+  show({ data: bytes, first, pixels }) {
+    const { data, width, height } = this.#image, view = new DataView(bytes, 8 * first, 8 * pixels);
     for (const at of this.#lit) data[at] = data[at + 1] = data[at + 2] = 0;
     this.#lit = [];
-    for (let n = 0; n + 4 < pixels.length; n += 5) {
-      const x = pixels[n], y = pixels[n + 1];
-      if (!(x >= 0 && x < width && y >= 0 && y < height)) continue;
+    for (let n = 0; n < 8 * pixels; n += 8) {
+      const x = view.getUint16(n, true), y = view.getUint16(n + 2, true);
+      if (x >= width || y >= height) continue;
       const at = 4 * (y * width + x);
-      data[at] = pixels[n + 2];
-      data[at + 1] = pixels[n + 3];
-      data[at + 2] = pixels[n + 4];
+      for (let c = 0; c < 3; c += 1) data[at + c] = view.getUint8(n + 4 + c);
       this.#lit.push(at);
     }
     this.#context.putImageData(this.#image, 0, 0);
@@ -73,7 +71,11 @@ export class Schedule {
     this.#delay = message.paced ? this.delayMs : 0;
     this.#speed = message.speed;
     this.#last = message.t_s;
-    for (const picture of message.pictures) this.#queue.push({ ...picture, index: message.index });
+    let first = 0;
+    for (const picture of message.pictures) {
+      this.#queue.push({ ...picture, first, data: message.data, index: message.index });
+      first += picture.pixels;
+    }
   }
 
   #due(picture) {
