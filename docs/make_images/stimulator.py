@@ -6,14 +6,11 @@ Run it from the top folder: python docs/make_images/stimulator.py. It prints the
 import math
 import sys
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "helpers"))
-from synthetic_bench import Bench
 
 from simulator.live.stimulator import Exposures, Pattern, Photograph, calibrate_display, nominal_geometry
 from startracker import Attitude, Camera, Distortion, load_catalog
@@ -21,6 +18,10 @@ from startracker.picture import stretch
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tests" / "helpers"))
+Bench = import_module("synthetic_bench").Bench
 
 OUT = ROOT / "docs" / "images" / "stimulator.png"
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
