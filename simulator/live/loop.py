@@ -89,6 +89,7 @@ class MissionLoop:
         self._pending: dict[str, tuple[float, list[asyncio.Future[str]]]] = {}
         self._applying: asyncio.Task[None] | None = None
         self._closing = False
+        self._changing = False  # a frame decided on before a change of the source is not made after it
 
     # ------------------------------------------------------------------ the loop
     async def run(self) -> None:
@@ -122,7 +123,7 @@ class MissionLoop:
         while not self._closing:
             self._wake.clear()
             wait_s = None
-            if not self.paused or self._steps:
+            if not self._changing and (not self.paused or self._steps):
                 if self.lockstep:
                     if self._queue:
                         return self._queue.popleft()
@@ -314,7 +315,7 @@ class MissionLoop:
             try:
                 t_s = mission.time_of(message.time)
             except BoresightError as error:
-                raise Refused("invalid", f"time: {error}") from None
+                raise Refused("invalid", str(error)) from None
         assert t_s is not None
         given = Given(t_s, message.quaternion, message.rate_deg_s, received_s)
         if not self.lockstep:
@@ -345,7 +346,11 @@ class MissionLoop:
         self._refuse_queue("the source has changed")
         changed = external != self.mission.external or lockstep != self.lockstep
         if changed:
-            await self._in_worker(self._change_source, external)
+            self._changing = True
+            try:
+                await self._in_worker(self._change_source, external)
+            finally:
+                self._changing = False
         self.lockstep, self._newest, self._due_s = lockstep, None, time.perf_counter()
 
     def _change_source(self, external: bool) -> None:

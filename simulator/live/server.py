@@ -204,6 +204,7 @@ class LiveServer:
             WebSocketRoute("/ws", live),
             Route("/", _page("index.html")),
             Route("/stimulator", _page("stimulator.html")),
+            Route("/sky.json", _sky),
         ]
         if _PAGE.is_dir():
             routes.append(Mount("/static", StaticFiles(directory=_PAGE)))
@@ -219,6 +220,15 @@ def _page(name: str) -> Any:
         return PlainTextResponse(f"{name} is not part of this installation; the protocol is at /ws", 404)
 
     return page
+
+
+def _sky(_: Request) -> Response:
+    """Stars of the page's map; a function without async runs in a thread, as the first call reads the catalogue."""
+    from starlette.responses import Response
+
+    from simulator.live.bright_sky import bright_sky
+
+    return Response(bright_sky(), media_type="application/json")
 
 
 class _Guard:

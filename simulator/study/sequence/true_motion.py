@@ -23,8 +23,6 @@ from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.tracking import GyroNoise, RateNoise
 
-__all__ = ["RECORDED_COLUMNS", "jitter_at", "process_noise", "recorded_states", "start_pointing", "states_at"]
-
 RECORDED_COLUMNS = (*QUATERNION_COLUMNS, "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 """Columns of ``sequence.recording``: quaternion ICRS to camera and inertial rate in camera axes."""
 _SAME_TIME_S = 1e-6
