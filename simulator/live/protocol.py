@@ -122,7 +122,7 @@ class Shown(_FromClient):
     shown: Annotated[int, Field(ge=0)]
     """Pictures shown."""
     late: Annotated[int, Field(ge=0)]
-    """Pictures shown more than a refresh late, or too late to be shown at all."""
+    """Pictures shown more than one and a half refreshes late, or too late to be shown at all."""
 
 
 class Set(_FromClient):
@@ -189,7 +189,7 @@ class Blind(_Command):
 
     name: Literal["blind"]
     head: Name | None = None
-    """Name of the camera's head; None: the one that is served."""
+    """Name of the camera's head; without it, the one that is served."""
 
 
 class Unblind(_Command):
@@ -219,7 +219,7 @@ class Record(_Command):
 
     name: Literal["record"]
     folder: Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
-    """Name of a new folder within the server's folder of recordings; None: the time of day."""
+    """Name of a new folder within the server's folder of recordings; by default the date and time."""
 
 
 class StopRecording(_Command):
@@ -366,6 +366,7 @@ class Reply(ServerMessage):
     id: str | int | None = None
     """That of the client's message."""
     ok: Literal[True] = True
+    """Always true."""
     detail: str = ""
     """What was done, where that is not evident: the folder of a recording, the time of a jump."""
 
@@ -378,7 +379,7 @@ class Error(ServerMessage):
     """That of the client's message, if it could be read."""
     code: str
     """``malformed``: not a JSON object, or too large; ``invalid``: a field is unknown, missing, or out of its range;
-    ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients or attitudes; ``state``: not
+    ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients; ``state``: not
     possible now; ``failed``: a frame could not be made."""
     reason: str
     """One line for people."""
@@ -392,7 +393,7 @@ class _OfFrame(ServerMessage):
     time: str
     """The same as UTC, ISO 8601."""
     missed: int = 0
-    """Frames omitted since the last one sent to this client on this channel, because it was slow."""
+    """Frames omitted since the last one sent to this client, because it was slow."""
 
 
 class FrameHeader(_OfFrame):
@@ -438,7 +439,8 @@ class SolutionMessage(_OfFrame):
     channel = "solution"
     type: Literal["solution"] = "solution"
     status: str
-    """``solved``, the reason's class (`Status` of the tracker), or ``no_frame``."""
+    """``solved``, why not (`startracker.solution.Status`), or ``no_frame``; with ``sequence.operation`` also
+    ``discarded`` and ``suspended``."""
     reason: str
     """In words."""
     mode: str
