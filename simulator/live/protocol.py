@@ -179,7 +179,7 @@ class Blind(_Command):
 
     name: Literal["blind"]
     head: Name | None = None
-    """Name of the camera's head; None: the one that is served."""
+    """Name of the camera's head; without it, the one that is served."""
 
 
 class Unblind(_Command):
@@ -209,7 +209,7 @@ class Record(_Command):
 
     name: Literal["record"]
     folder: Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
-    """Name of a new folder within the server's folder of recordings; None: the time of day."""
+    """Name of a new folder within the server's folder of recordings; by default the date and time."""
 
 
 class StopRecording(_Command):
@@ -356,6 +356,7 @@ class Reply(ServerMessage):
     id: str | int | None = None
     """That of the client's message."""
     ok: Literal[True] = True
+    """Always true."""
     detail: str = ""
     """What was done, where that is not evident: the folder of a recording, the time of a jump."""
 
@@ -368,7 +369,7 @@ class Error(ServerMessage):
     """That of the client's message, if it could be read."""
     code: str
     """``malformed``: not a JSON object, or too large; ``invalid``: a field is unknown, missing, or out of its range;
-    ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients or attitudes; ``state``: not
+    ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients; ``state``: not
     possible now; ``failed``: a frame could not be made."""
     reason: str
     """One line for people."""
@@ -382,7 +383,7 @@ class _OfFrame(ServerMessage):
     time: str
     """The same as UTC, ISO 8601."""
     missed: int = 0
-    """Frames omitted since the last one sent to this client on this channel, because it was slow."""
+    """Frames omitted since the last one sent to this client, because it was slow."""
 
 
 class FrameHeader(_OfFrame):
@@ -428,7 +429,8 @@ class SolutionMessage(_OfFrame):
     channel = "solution"
     type: Literal["solution"] = "solution"
     status: str
-    """``solved``, the reason's class (`Status` of the tracker), or ``no_frame``."""
+    """``solved``, why not (`startracker.solution.Status`), or ``no_frame``; with ``sequence.operation`` also
+    ``discarded`` and ``suspended``."""
     reason: str
     """In words."""
     mode: str
