@@ -78,6 +78,7 @@ class MissionLoop:
         self._pending: dict[str, tuple[float, list[asyncio.Future[str]]]] = {}
         self._applying: asyncio.Task[None] | None = None
         self._closing = False
+        self._changing = False  # a frame decided on before a change of the source is not made after it
 
     # ------------------------------------------------------------------ the loop
     async def run(self) -> None:
@@ -111,7 +112,7 @@ class MissionLoop:
         while not self._closing:
             self._wake.clear()
             wait_s = None
-            if not self.paused or self._steps:
+            if not self._changing and (not self.paused or self._steps):
                 if self.lockstep:
                     if self._queue:
                         return self._queue.popleft()
@@ -123,7 +124,8 @@ class MissionLoop:
                     if wait_s <= 0.0:
                         return _Turn(self._due_s, newest)
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._wake.wait(), wait_s)
+                async with asyncio.timeout(wait_s):
+                    await self._wake.wait()
         return None
 
     async def _make(self, turn: _Turn) -> None:
@@ -297,7 +299,7 @@ class MissionLoop:
             try:
                 t_s = mission.time_of(message.time)
             except BoresightError as error:
-                raise Refused("invalid", f"time: {error}") from None
+                raise Refused("invalid", str(error)) from None
         assert t_s is not None
         given = Given(t_s, message.quaternion, message.rate_deg_s, received_s)
         if not self.lockstep:
@@ -328,7 +330,11 @@ class MissionLoop:
         self._refuse_queue("the source has changed")
         changed = external != self.mission.external or lockstep != self.lockstep
         if changed:
-            await self._in_worker(self._change_source, external)
+            self._changing = True
+            try:
+                await self._in_worker(self._change_source, external)
+            finally:
+                self._changing = False
         self.lockstep, self._newest, self._due_s = lockstep, None, time.perf_counter()
 
     def _change_source(self, external: bool) -> None:

@@ -15,6 +15,7 @@ from simulator.live.motion import Given, ScenarioMotion, turned_on
 from simulator.live.parameters import RATE_PATHS, ParameterTable
 from simulator.live.protocol import Parameter, Refused
 from simulator.live.recording import Recording
+from simulator.mission.epochs import elapsed_s
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -123,7 +124,7 @@ class LiveMission:
 
     def time_of(self, iso: str) -> float:
         """Seconds after the epoch of a date; `InputError` if it is not one."""
-        return float(self.renderer.scenes.clock.elapsed_s(iso))
+        return float(elapsed_s(self.renderer.scenes.clock, [iso], "UTC", ["time"])[0])
 
     def isot(self, t_s: float) -> str:
         """UTC, ISO 8601."""

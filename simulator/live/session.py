@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+
 from simulator.live.hub import Subscriber
 from simulator.live.loop import MissionLoop
 from simulator.live.protocol import Error, GivenAttitude, Hello, Refused, Reply, Subscribe, parse
 from simulator.live.security import Access, TokenBucket
 
 __all__ = ["MOST_CLIENTS", "Session", "SessionEnded"]
+
+_log = logging.getLogger(__name__)
 
 MOST_CLIENTS = 32
 """Clients at a time."""
@@ -78,6 +82,9 @@ class Session:
         except Refused as refused:
             refused.message_id = message.id
             raise
+        except Exception as error:  # a defect of ours ends neither the session nor the loop
+            _log.exception("a message could not be handled")
+            raise Refused("failed", f"{type(error).__name__}: {error}", message.id) from None
         if message.id is not None or not isinstance(message, GivenAttitude):
             self.subscriber.reply(Reply(id=message.id, detail=detail))
 

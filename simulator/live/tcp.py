@@ -70,7 +70,8 @@ class LineServer:
         """Messages until the client ends, or is to be disconnected."""
         while not sending.done():
             try:
-                line = await asyncio.wait_for(reader.readuntil(b"\n"), None if session.greeted else _HELLO_S)
+                async with asyncio.timeout(None if session.greeted else _HELLO_S):
+                    line = await reader.readuntil(b"\n")
             except asyncio.IncompleteReadError:  # its end, perhaps within a line
                 return
             except asyncio.LimitOverrunError:
@@ -104,4 +105,5 @@ async def _send(writer: asyncio.StreamWriter, batch: list[Outgoing]) -> None:
         if isinstance(message, FrameHeader) and data:
             whole = message.model_copy(update={"data": base64.b64encode(data).decode()})
         writer.write(dump(whole).encode() + b"\n")
-        await asyncio.wait_for(writer.drain(), _STALLED_S)
+        async with asyncio.timeout(_STALLED_S):  # wait_for of Python 3.11 may lose a cancellation
+            await writer.drain()

@@ -146,19 +146,15 @@ export class FrameView {
   }
 
   #detections(context, detections, at) {
-    context.strokeStyle = "#e69f00";
-    context.lineWidth = 1.4;
     context.beginPath();
     for (const [x, y] of detections.slice(0, MOST_DETECTIONS)) {
       const [u, v] = at(x, y);
       context.rect(u - 6, v - 6, 12, 12);
     }
-    context.stroke();
+    outlined(context, "#e69f00", 1.4);
   }
 
   #stars(context, stars, at, width) {
-    context.strokeStyle = "#56b4e9";
-    context.lineWidth = 1.8;
     context.beginPath();
     const brightest = [...stars].sort((a, b) => a.magnitude - b.magnitude);
     if (this.show.stars) {
@@ -168,7 +164,7 @@ export class FrameView {
         context.arc(u, v, 11, 0, 2 * Math.PI);
       }
     }
-    context.stroke();
+    outlined(context, "#56b4e9", 1.8);
     if (!this.show.names) return;
     const taken = [];
     context.textBaseline = "middle";
@@ -212,6 +208,15 @@ export class FrameView {
     else if (solution && !this.store.solved) text = `Lost: ${words(solution.reason || solution.status)}`;
     veil.hidden = !text;
     if (veil.textContent !== text) veil.textContent = text;
+  }
+}
+
+/** Stroke of the path with a dark edge, to be seen on a bright frame too. */
+function outlined(context, colour, width) {
+  for (const [style, wide] of [["rgb(5 7 10 / 0.55)", width + 2], [colour, width]]) {
+    context.strokeStyle = style;
+    context.lineWidth = wide;
+    context.stroke();
   }
 }
 

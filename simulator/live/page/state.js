@@ -98,7 +98,7 @@ export class Store extends EventTarget {
     const since = last ? truth.t_s - last.t : 0;
     const jumped = Boolean(last) && (since < 0 || since > JUMP_STEPS * step);
     const solved = solution.status === "solved";
-    const covariance = solved ? solution.covariance_rad2 : null;
+    const covariance = solution.covariance_rad2; // also while coasting: it grows
     this.history.push({
       t: truth.t_s,
       x: last ? last.x + (jumped ? 3 * step : since) : 0, // mission time without its jumps
