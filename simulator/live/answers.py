@@ -19,10 +19,12 @@ __all__ = [
     "FrameHeader",
     "MatchedStar",
     "Parameter",
+    "Picture",
     "Reply",
     "ServerMessage",
     "SolutionMessage",
     "StateMessage",
+    "StimulusMessage",
     "TruthMessage",
     "Welcome",
     "dump",
@@ -256,6 +258,47 @@ class TruthMessage(_OfFrame):
     """The baffle's exclusion angles."""
 
 
+class Picture(BaseModel):
+    """One picture of a display."""
+
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
+    t_s: float
+    """When it is to be shown, s after the scenario's epoch."""
+    pixels: int
+    """Number of lit pixels; all others are black."""
+
+
+class StimulusMessage(_OfFrame):
+    """Pictures from one frame to the next, for the true attitude at the frame, turned on with the true rate.
+
+    The lit pixels of all pictures in turn follow as one binary message, or over TCP as base64 in ``data``: eight bytes
+    each, column and row as little-endian 16-bit integers, levels of red, green and blue from 0 to 255, and a zero.
+    """
+
+    channel = "stimulus"
+    type: Literal["stimulus"] = "stimulus"
+    width: int
+    """Columns of the display."""
+    height: int
+    """Rows of the display."""
+    speed: float
+    """Factor on real time."""
+    paced: bool
+    """Whether the pictures follow the clock; otherwise (paused, or in lockstep) there is one, to be shown at once."""
+    pictures: list[Picture]
+    """In the order of their times."""
+    bytes: int
+    """Number of bytes that follow."""
+    stars: int
+    """Stars in the first picture."""
+    clipped: int
+    """Those with a pixel beyond the display's brightest level."""
+    faint: int
+    """Those whose brightness is wrong by more than 0.1 mag, as the levels are too coarse for them."""
+    data: str | None = None
+    """TCP only: the bytes as base64."""
+
+
 class StateMessage(ServerMessage):
     """State of the mission; sent on change, at most four times a second."""
 
@@ -283,6 +326,8 @@ class StateMessage(ServerMessage):
     """Number of clients."""
     late_frames: int
     """Frames made later than they were due by more than a step of the mission."""
+    late_pictures: int
+    """Pictures that connected displays showed too late, or not at all."""
     frame_rate_hz: float
     """Frames per second of real time, over the last two seconds."""
     notice: str
@@ -293,12 +338,12 @@ class StateMessage(ServerMessage):
 
 SERVER_MESSAGES: dict[str, type[ServerMessage]] = {
     kind.model_fields["type"].default: kind
-    for kind in (Welcome, FrameHeader, SolutionMessage, TruthMessage, StateMessage, Reply, Error)
+    for kind in (Welcome, FrameHeader, SolutionMessage, TruthMessage, StimulusMessage, StateMessage, Reply, Error)
 }
 """Messages of the server by type."""
 
 
 def dump(message: ServerMessage) -> str:
     """A message as one line of JSON."""
-    excluded: Any = {"data"} if isinstance(message, FrameHeader) and message.data is None else None
+    excluded: Any = {"data"} if isinstance(message, FrameHeader | StimulusMessage) and message.data is None else None
     return message.model_dump_json(exclude=excluded)

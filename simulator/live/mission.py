@@ -174,7 +174,7 @@ class LiveMission:
             at_step = replace(self.motion.at(self._offset_s + since_s), t_s=t_s)
             state, rotation_rad = self.motion.on_mounting(at_step)
         else:
-            state, rotation_rad = turned_on(given, t_s), self.renderer.scenes.mounting_rotation_rad(t_s)
+            state, rotation_rad = turned_on(given.state, t_s), self.renderer.scenes.mounting_rotation_rad(t_s)
         missing = self.blinded or self._in_dropout(self._offset_s + since_s)
         if self.recording is not None:
             state = self.recording.exact(state)

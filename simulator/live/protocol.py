@@ -32,7 +32,7 @@ LARGEST_RATE_DEG_S = 360.0
 """Largest rate of an attitude or a kick about one axis."""
 _NORM_TOLERANCE = 1e-3
 
-Channel = Literal["frame", "solution", "truth", "state"]
+Channel = Literal["frame", "solution", "truth", "state", "stimulus"]
 FrameFormat = Literal["png", "raw16", "fits", "none"]
 Rate = Annotated[FiniteFloat, Field(ge=-LARGEST_RATE_DEG_S, le=LARGEST_RATE_DEG_S)]
 Rates = tuple[Rate, Rate, Rate]
@@ -92,7 +92,7 @@ class Subscribe(_FromClient):
 
     type: Literal["subscribe"] = "subscribe"
     channels: tuple[Channel, ...]
-    """``frame``, ``solution``, ``truth``, ``state``."""
+    """``frame``, ``solution``, ``truth``, ``state``; ``stimulus``: pictures for a display before a real tracker."""
     frame_format: FrameFormat = "png"
     """``png``: 8 bits, stretched for display; ``raw16``: the digital numbers, 16 bits; ``fits``: the digital numbers
     with what the camera knows; ``none``: headers of the frames without pixels."""
@@ -112,6 +112,16 @@ class GivenAttitude(_FromClient):
     """ICRS to camera, scalar last, of length 1 within 0.1 %."""
     rate_deg_s: Rates = (0.0, 0.0, 0.0)
     """Inertial angular velocity in camera axes, °/s, at most 360 about each axis; it smears the stars."""
+
+
+class Shown(_FromClient):
+    """What a display before a tracker has shown since it connected; no reply without an ``id``."""
+
+    type: Literal["shown"] = "shown"
+    shown: Annotated[int, Field(ge=0)]
+    """Pictures shown."""
+    late: Annotated[int, Field(ge=0)]
+    """Pictures shown more than one and a half refreshes late, or too late to be shown at all."""
 
 
 class Set(_FromClient):
@@ -218,15 +228,15 @@ class StopRecording(_Command):
 
 
 _Commands = Pause | Resume | Step | Speed | Source | Kick | Blind | Unblind | Saa | Seek | Record | StopRecording
-ClientMessage = Hello | Subscribe | GivenAttitude | Set | _Commands
+ClientMessage = Hello | Subscribe | GivenAttitude | Shown | Set | _Commands
 _ANY: TypeAdapter[ClientMessage] = TypeAdapter(
     Annotated[
-        Hello | Subscribe | GivenAttitude | Set | Annotated[_Commands, Field(discriminator="name")],
+        Hello | Subscribe | GivenAttitude | Shown | Set | Annotated[_Commands, Field(discriminator="name")],
         Field(discriminator="type"),
     ]
 )
 CLIENT_MESSAGES: dict[str, type[_FromClient]] = {
-    kind.model_fields["type"].default: kind for kind in (Hello, Subscribe, GivenAttitude, Set)
+    kind.model_fields["type"].default: kind for kind in (Hello, Subscribe, GivenAttitude, Shown, Set)
 }
 """Messages of clients by type, except the commands."""
 COMMANDS: dict[str, type[_FromClient]] = {
