@@ -7,15 +7,16 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from simulator.live.images import Encoded
-from simulator.live.protocol import (
+from simulator.live.answers import (
     FrameHeader,
     ServerMessage,
     SolutionMessage,
     StateMessage,
-    Subscribe,
+    StimulusMessage,
     TruthMessage,
 )
+from simulator.live.images import Encoded
+from simulator.live.protocol import Subscribe
 
 __all__ = ["Hub", "Outgoing", "Published", "Subscriber"]
 
@@ -40,6 +41,8 @@ class Published:
     """None if no client wants it."""
     frames: dict[str, tuple[FrameHeader, Encoded]]
     """By format, those that a client wants; empty without a frame."""
+    stimulus: tuple[StimulusMessage, bytes] | None = None
+    """None if no client wants it."""
 
 
 class Subscriber:
@@ -48,6 +51,8 @@ class Subscriber:
     def __init__(self) -> None:
         self.wants: Subscribe | None = None
         """What the client has asked for; None before."""
+        self.late_pictures = 0
+        """Of a display, as it says."""
         self._replies: deque[Outgoing] = deque()
         self._newest: Published | None = None
         self._missed = 0
@@ -61,7 +66,7 @@ class Subscriber:
 
     def publish(self, published: Published) -> None:
         """Put a frame into the outbox, in place of one that is still there."""
-        if any(self.wants_frame(published.index, channel) for channel in ("frame", "solution", "truth")):
+        if any(self.wants_frame(published.index, channel) for channel in ("frame", "solution", "truth", "stimulus")):
             self._missed += self._newest is not None
             self._newest = published
             self._filled.set()
@@ -114,6 +119,9 @@ class Subscriber:
             taken.append(Outgoing(published.solution.model_copy(update=missed)))
         if published.truth is not None and self.wants_frame(index, "truth"):
             taken.append(Outgoing(published.truth.model_copy(update=missed)))
+        if published.stimulus is not None and self.wants_frame(index, "stimulus"):
+            message, pixels = published.stimulus
+            taken.append(Outgoing(message.model_copy(update=missed), pixels))
         return taken
 
 
@@ -128,9 +136,9 @@ class Hub:
         wanting = [s.wants for s in list(self.subscribers) if s.wants_frame(index, "frame")]
         return {wants.frame_format for wants in wanting if wants is not None}
 
-    def wants_truth(self, index: int) -> bool:
-        """Whether a client wants the truth of a frame."""
-        return any(s.wants_frame(index, "truth") for s in list(self.subscribers))
+    def wants(self, index: int, channel: str) -> bool:
+        """Whether a client wants a channel of a frame."""
+        return any(s.wants_frame(index, channel) for s in list(self.subscribers))
 
     def publish(self, published: Published) -> None:
         """Give a frame to all who want it."""

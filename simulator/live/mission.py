@@ -10,9 +10,10 @@ from importlib.util import find_spec
 import numpy as np
 
 from simulator.environment.transients import Transients
+from simulator.live.answers import Parameter
 from simulator.live.motion import Given, ScenarioMotion, turned_on
 from simulator.live.parameters import RATE_PATHS, ParameterTable
-from simulator.live.protocol import Parameter, Refused
+from simulator.live.protocol import Refused
 from simulator.live.recording import Recording
 from simulator.mission.epochs import elapsed_s
 from simulator.randomness import stream
@@ -173,7 +174,7 @@ class LiveMission:
             at_step = replace(self.motion.at(self._offset_s + since_s), t_s=t_s)
             state, rotation_rad = self.motion.on_mounting(at_step)
         else:
-            state, rotation_rad = turned_on(given, t_s), self.renderer.scenes.mounting_rotation_rad(t_s)
+            state, rotation_rad = turned_on(given.state, t_s), self.renderer.scenes.mounting_rotation_rad(t_s)
         missing = self.blinded or self._in_dropout(self._offset_s + since_s)
         if self.recording is not None:
             state = self.recording.exact(state)

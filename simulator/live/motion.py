@@ -36,12 +36,11 @@ class Given(NamedTuple):
         return MotionState(self.t_s, Attitude(np.array(self.quaternion)), np.radians(self.rate_deg_s))
 
 
-def turned_on(given: Given, t_s: float) -> MotionState:
-    """The camera at another time, turned on with the constant rate of a given attitude."""
-    state = given.state
-    if t_s == given.t_s:
+def turned_on(state: MotionState, t_s: float) -> MotionState:
+    """The camera at another time, turned on with its rate, which is taken as constant."""
+    if t_s == state.t_s:
         return state
-    turn = Attitude.from_rotation_vector(state.rate_camera_rad_s * (t_s - given.t_s), "camera", "camera")
+    turn = Attitude.from_rotation_vector(state.rate_camera_rad_s * (t_s - state.t_s), "camera", "camera")
     return MotionState(t_s, turn @ state.camera, state.rate_camera_rad_s)
 
 
