@@ -11,17 +11,13 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.optics.drift import Drift, drifting_paths
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
-
-__all__ = ["Exposure", "Motion", "Paths", "Shutter"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

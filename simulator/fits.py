@@ -57,6 +57,17 @@ def write_fits(
     midpoint of the rendered path during the exposure of the source's own row; `direction` is apparent, `ra` and `dec`
     are astrometric, in both forms. With `noiseless_plane` the extension MEAN_E has the mean photo-electrons.
     """
+    write_atomically(Path(path), fits_bytes(frame, truth, noiseless_plane=noiseless_plane, wcs=wcs))
+
+
+def fits_bytes(
+    frame: Frame,
+    truth: FrameTruth | None = None,
+    *,
+    noiseless_plane: bool = False,
+    wcs: WcsForm = "astrometric",
+) -> bytes:
+    """Content of the file of `write_fits`."""
     from astropy.io import fits
 
     primary = fits.PrimaryHDU(np.asarray(frame.image))
@@ -79,7 +90,7 @@ def write_fits(
             units[-1].header["BUNIT"] = ("electron", "mean photo-electrons in the exposure")
     buffer = io.BytesIO()
     fits.HDUList(units).writeto(buffer, checksum=True)
-    write_atomically(Path(path), buffer.getvalue())
+    return buffer.getvalue()
 
 
 def _cards(frame: Frame) -> list[tuple[str, Any, str]]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.exposure import Exposure, Motion, Paths
 from simulator.frame import TrueSources
@@ -47,12 +46,8 @@ from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import SOLAR_B_V
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
-
-__all__ = ["FocalPlane", "Illumination"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _EDGE_MARGIN_PX = 160.0
 """Stars up to this far outside the detector are rendered if their wings overlap it; those of 10⁶ electrons do."""
@@ -270,8 +265,8 @@ class FocalPlane:
         motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
         paths = exposure.paths(camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, _EDGE_MARGIN_PX)
         nm = np.full(len(seen.rows), float(self.photometer.effective_wavelength_nm(SOLAR_B_V, 0.0)))
-        paths = paths._replace(xy=self.displacement.moved(paths.xy, nm))
-        self._draw_points(mean_e, np.arange(len(nm)), nm, seen.xy, paths)
+        shift = self.displacement.moved(seen.xy, nm) - seen.xy  # the same along a star's path, within 0.001 px
+        self._draw_points(mean_e, np.arange(len(nm)), nm, seen.xy, paths._replace(xy=paths.xy + shift[:, None, :]))
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
         if self.ghosts:

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.display import described, html_card, quantity_range
 from startracker.observer import Observer
 from startracker.picture import photograph
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

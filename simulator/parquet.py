@@ -7,8 +7,6 @@ from typing import Any
 
 from startracker.errors import InputError
 
-__all__ = ["read_parquet"]
-
 
 def read_parquet(path: Path) -> dict[str, list[Any]]:
     """Values of all columns by name; dates as text in UTC, ISO 8601.

@@ -6,7 +6,9 @@ stream.
 
 from __future__ import annotations
 
+import copy
 import functools
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ from simulator.detector.readout import electronics_noise_e
 from simulator.exposure import Exposure
 from simulator.focal_plane import Illumination
 from simulator.frame import Frame, FrameTruth
+from simulator.mission.trajectory import Trajectory
 from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
@@ -27,6 +30,13 @@ from simulator.scene import GivenState, Scene
 from startracker.attitude import Attitude
 from startracker.interop import is_rotation
 
+_OF_SCENES = ("detector.height", "detector.shutter", "detector.line_time_us")
+"""Keys of the detector on which the scenes depend."""
+_OF_READOUT = (
+    *("detector.exposure_s", "detector.gain_e_per_dn", "detector.temperature_c", "detector.hot_pixel_"),
+    *("detector.dark_current_e_s", "detector.read_noise_e", "detector.offset_dn", "detector.dsnu", "detector.prnu"),
+)
+"""Keys on which the focal plane does not depend."""
 _LEAST_PRIOR_DEG = 0.1
 """Minimum error of the prior, also if the scenario states no pointing error."""
 
@@ -60,6 +70,8 @@ class Renderer:
     camera_seed : int, optional
         Seed of the camera's own properties and of the noise of its frames, instead of the scenario's: one of several
         cameras under the same sky.
+    trajectory : Trajectory, optional
+        Trajectory of the spacecraft instead of the scenario's orbit.
 
     Raises
     ------
@@ -67,12 +79,15 @@ class Renderer:
         For invalid names or files in the scenario.
     """
 
-    def __init__(self, scenario: Scenario, camera_seed: int | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, camera_seed: int | None = None, trajectory: Trajectory | None = None
+    ) -> None:
         self.scenario = scenario
         self.seed = scenario.seed if camera_seed is None else camera_seed
         self.exposure_s = scenario.detector.exposure_s
         self.shutter = shutter_of(scenario.detector)
-        self.scenes = build_scenes(scenario)
+        self._trajectory = trajectory
+        self.scenes = build_scenes(scenario, trajectory)
         self.focal_plane = build_focal_plane(scenario, self.seed)
         self.camera = self.focal_plane.camera
         self.detector = build_detector(scenario, self.seed)
@@ -83,6 +98,28 @@ class Renderer:
 
     def __repr__(self) -> str:
         return f"Renderer({self.scenario!r})"
+
+    def changed(self, values: Mapping[str, Any]) -> Renderer:
+        """Renderer of `Scenario.changed` with these values, which shares all parts that do not depend on them.
+
+        Its frames are those of a new renderer of that scenario. `ScenarioError` for values that are not valid.
+        """
+        scenario, other = self.scenario.changed(values), copy.copy(self)
+        device = self.detector.parameters
+        other.scenario, other.parameters = scenario, flat_parameters(scenario)
+        other.exposure_s, other.shutter = scenario.detector.exposure_s, shutter_of(scenario.detector)
+        if not _only(values, ("optics.", "detector.", "environment."), _OF_SCENES):
+            other.scenes = build_scenes(scenario, self._trajectory)
+        if not _only(values, _OF_READOUT):
+            other.focal_plane = build_focal_plane(scenario, self.seed)
+            other.camera = other.focal_plane.camera
+        if not _only(values, ("optics.", "detector.exposure_s")):
+            other.detector = build_detector(scenario, self.seed)
+            device = other.detector.parameters
+        if not _only(values, ("optics.", "detector.")):
+            other.transients = build_transients(scenario)
+        other._read_noise_e = electronics_noise_e(device) / bunch_e(device)
+        return other
 
     def scene(
         self,
@@ -139,10 +176,7 @@ class Renderer:
         light = self.expose(scene, duration_s)
         moment = self._moment(scene, duration_s)
         readout = self.detector.expose(light.mean_e, moment, self._streams(index), keep_charge=False)
-        tag, late_s = scenario.detector.time_tag, 0.0
-        if tag != TimeTag():
-            late_s = tag.offset_s + tag.jitter_s * float(self._streams(index)("time tag").standard_normal())
-
+        late_s = self._time_tag_error_s(index)
         frame = Frame(
             image=readout.image,
             camera=self.camera,
@@ -174,6 +208,13 @@ class Renderer:
         )
         return frame, truth
 
+    def _time_tag_error_s(self, index: int) -> float:
+        """Error of the stated time of a frame."""
+        tag = self.scenario.detector.time_tag
+        if tag == TimeTag():
+            return 0.0
+        return tag.offset_s + tag.jitter_s * float(self._streams(index)("time tag").standard_normal())
+
     def _moment(self, scene: Scene, exposure_s: float) -> Moment:
         """Time of a frame and particles at its position."""
         if self.transients is None:
@@ -187,6 +228,11 @@ class Renderer:
 
     def _streams(self, index: int) -> Streams:
         return functools.partial(_stream_of_trial, self.seed, index)
+
+
+def _only(paths: Iterable[str], shared: tuple[str, ...], except_for: tuple[str, ...] = ()) -> bool:
+    """Whether all paths begin with one of `shared`, and none with one of `except_for`."""
+    return all(path.startswith(shared) and not path.startswith(except_for) for path in paths)
 
 
 def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:

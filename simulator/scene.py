@@ -5,12 +5,13 @@ The stages orbit → pointing → sky in order; independent of pixels.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.attitude_law import AttitudeLaw, common_span_s
 from simulator.mission.clock import Clock
@@ -40,6 +41,7 @@ from simulator.sky.parameters import Sky
 from simulator.sky.satellites import Look, SatelliteList, Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
@@ -47,9 +49,6 @@ from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.observer import Observer
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NEAR_BODY_RAD = math.radians(5.0)
 """Angular radius from which a body hides stars, and cannot be rendered: the disk of a spacecraft's orbit around it."""
@@ -130,6 +129,15 @@ class SceneParameters:
     """Time beyond an exposure in which a rolling shutter exposes rows."""
 
 
+@functools.lru_cache(maxsize=2)
+def _sky_of(catalog: StarCatalog, magnitude_limit: float) -> tuple[SkyIndex, FloatArray, FloatArray]:
+    """Stars of a sky, B−V and luminosity class of each; cached for the cameras of a sweep."""
+    stars = by_declination(catalog.brighter_than(magnitude_limit))
+    b_v, giant = spectral_coordinates(stars.b_v, stars.spectral_type)
+    stars = replace(stars, spectral_type=np.full(len(stars), ""))  # unused, and 80 bytes per star
+    return SkyIndex(stars), b_v, giant
+
+
 class SceneBuilder:
     """Builds scenes of trials with common clock, orbit and catalogue.
 
@@ -166,12 +174,9 @@ class SceneBuilder:
         self.clock: Clock = orbit.clock
         self._round_s = round_s(parameters.pointing, orbit.period_s)
         seen = parameters.sky
-        catalog = by_declination(load_catalog(seen.catalog).brighter_than(seen.magnitude_limit))
-        self._b_v, self._giant = spectral_coordinates(catalog.b_v, catalog.spectral_type)
-        catalog = replace(catalog, spectral_type=np.full(len(catalog), ""))  # unused, and 80 bytes per star
-        self.sky = SkyIndex(catalog)
+        self.sky, self._b_v, self._giant = _sky_of(load_catalog(seen.catalog), seen.magnitude_limit)
         target = parameters.pointing.target
-        self._target = find_target(target, catalog) if isinstance(target, str) else None
+        self._target = find_target(target, self.sky.catalog) if isinstance(target, str) else None
         self._blocks: dict[int, Instants] = {}
         self._plan: tuple[Instants | None, dict[float, int]] = (None, {})
 
@@ -195,7 +200,8 @@ class SceneBuilder:
         rows = {time: row for row, time in enumerate(times.tolist())}
         self._plan = (Instants.of(self.orbit, times, self.parameters.sky), rows)
 
-    def _instant_at(self, t_s: float) -> Instant:
+    def instant_at(self, t_s: float) -> Instant:
+        """Positions of spacecraft and bodies at a time, seconds after the epoch."""
         planned, rows = self._plan
         if planned is None or t_s not in rows:
             return Instants.of(self.orbit, np.array([t_s]), self.parameters.sky).at(0)
@@ -225,7 +231,7 @@ class SceneBuilder:
             Time, attitude, rate and jitter instead of those of the trial.
         """
         sky = self.parameters.sky
-        now = self.instant(index) if given.at_s is None else self._instant_at(float(given.at_s))
+        now = self.instant(index) if given.at_s is None else self.instant_at(float(given.at_s))
         observer, sun_au = now.observer, now.sun_au
         pointing = self._pointing(now, streams("pointing"), given)
         pointing, jitter = self._shaken(pointing, streams, given.jitter, exposure_s)
@@ -295,7 +301,7 @@ class SceneBuilder:
     def mounting_rotation_rad(self, t_s: float) -> FloatArray | None:
         """Thermo-elastic rotation vector (3,) of the mounting, camera axes, seconds after the epoch; None if there is
         none."""
-        return self._mounting_rotation_rad(self._instant_at(t_s))
+        return self._mounting_rotation_rad(self.instant_at(t_s))
 
     def _mounting_rotation_rad(self, now: Instant) -> FloatArray | None:
         given = self.parameters.pointing.thermo_elastic

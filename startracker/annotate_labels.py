@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from startracker.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["Label", "Labels"]
-
-FloatArray = NDArray[np.float64]
 
 _DIRECTIONS = (
     (1, 0.35),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from startracker.annotate_labels import Label, Labels
 from startracker.annotate_sky import grid_lines, polyline
+from startracker.arrays import FloatArray
 from startracker.bodies import body_directions
 from startracker.catalog.deep_sky import deep_sky_directions, deep_sky_objects
 from startracker.catalog.names import constellation_lines, designation, proper_name
@@ -20,19 +21,6 @@ from startracker.solution import Solution
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = [
-    "TEXT",
-    "FieldOfStars",
-    "mark_bodies",
-    "mark_constellations",
-    "mark_deep_sky",
-    "mark_grid",
-    "mark_others",
-    "mark_stars",
-]
-
-FloatArray = NDArray[np.float64]
 
 MATCHED, UNMATCHED, MISSING = "#56B4E9", "#E69F00", "#F0E442"
 FIGURES, GRID, TEXT, DEEP_SKY, BODY = "#CC79A7", "#2FBF9B", "#f5f7fa", "#9BD18B", "#FF9166"

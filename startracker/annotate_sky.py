@@ -6,13 +6,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.solution import Solution
-
-__all__ = ["compass_arrows", "dec_text", "field_text", "grid_lines", "nice_step", "polyline", "ra_text"]
-
-FloatArray = NDArray[np.float64]
 
 _MINUTE, _SECOND = 1 / 60, 1 / 3600
 _DEC_STEPS = (

@@ -13,22 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.errors import FrameMismatchError, InputError
 from startracker.interop import plain, rotation_quat, skycoord_deg
-
-__all__ = [
-    "Attitude",
-    "direction_to_radec",
-    "matrix_to_quat",
-    "quat_multiply",
-    "quat_to_matrix",
-    "radec_to_direction",
-    "rotation_vector_to_matrix",
-]
-
-FloatArray = NDArray[np.float64]
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 

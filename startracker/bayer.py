@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["PATTERNS", "bayer_to_grey"]
-
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the first two rows and columns, in reading order."""
 _CLIP = 3.0

@@ -7,10 +7,11 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from startracker import centroid as centroiding
 from startracker import detection as detecting
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
@@ -26,11 +27,6 @@ from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import Solution
 from startracker.trace import Step
-
-__all__ = ["solve_unknown_fov"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def solve_unknown_fov(
@@ -161,14 +157,12 @@ def _points_of_image(
     """Centroids of an image; a solution that says why if it cannot be used."""
     settings = detection or DetectionSettings()
     found = find_stars(
-        given.image,
+        given,
         lookup("detectors", detecting.DETECTORS, detector),
         lookup("centroiders", centroiding.METHODS, centroider),
         settings,
         centroid or CentroidSettings(),
         clock,
-        saturation_dn=given.saturation_dn,
-        gain_e_per_dn=given.gain_e_per_dn,
     )
     if found.status is not None:
         explained = (*found.steps, *hints(found.status, 0, known_camera=False))

@@ -9,16 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEED_OF_LIGHT_KM_S
 from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.observer import Observer, aberrate
-
-__all__ = ["NO_BODIES", "SeenBodies", "beside_bodies", "body_directions", "seen_bodies"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _NAIF = {
     "Mercury": (1, 199),

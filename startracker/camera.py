@@ -18,14 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray
 from startracker.display import described
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
 from startracker.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
 from startracker.interop import plain
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,6 @@ from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 
-__all__ = ["Progress", "expected_kernels", "progress"]
-
 _SILENT_S = 2.0
 """Compile time after which a program other than our commands gets a message."""
 _SILENT_IN_FILES_S = 10.0

@@ -17,17 +17,6 @@ from numpy.typing import NDArray
 
 from startracker.constants import ARCSEC_RAD
 
-__all__ = [
-    "PICTURE_PX",
-    "angle_text",
-    "changed_fields",
-    "described",
-    "fields_repr",
-    "html_card",
-    "quantity_range",
-    "star_chart",
-]
-
 _LONGEST = 240
 """Characters of a description; what is beyond is cut."""
 PICTURE_PX = 420

@@ -77,15 +77,6 @@ def _distort_point(x: float, y: float, k: FloatArray) -> tuple[float, float]:
 
 
 @kernel
-def distort(xy: FloatArray, k: FloatArray) -> FloatArray:
-    """Distorted from undistorted normalised coordinates, both of shape (N, 2)."""
-    out = np.empty_like(xy)
-    for i in range(xy.shape[0]):
-        out[i, 0], out[i, 1] = _distort_point(xy[i, 0], xy[i, 1], k)
-    return out
-
-
-@kernel
 def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Pixels (N, 2) of vectors (N, 3) in camera axes for a pinhole with distortion `k`; NaN where z ≤ 1e-9."""
     out = np.empty((len(vectors), 2))

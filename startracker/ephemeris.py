@@ -14,23 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.errors import InputError
-
-__all__ = [
-    "DE421_NAME",
-    "DE421_SPAN_JD",
-    "astrometric_au",
-    "barycentric",
-    "de421",
-    "de421_file",
-    "outside_ephemeris",
-    "timescale",
-]
-
-FloatArray = NDArray[np.float64]
 
 DE421_NAME = {
     "Mercury": "mercury",

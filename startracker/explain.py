@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.centroid.result import Centroids
 from startracker.constants import ARCSEC_RAD
@@ -22,22 +23,6 @@ from startracker.detection.spots import Spots
 from startracker.settings import DetectionSettings
 from startracker.solution import Solution, Status
 from startracker.trace import Step
-
-__all__ = [
-    "as_text",
-    "attitude_steps",
-    "background_step",
-    "centroid_step",
-    "detection_steps",
-    "hints",
-    "identification_steps",
-    "image_sample",
-    "image_step",
-    "listed_step",
-    "search_step",
-]
-
-FloatArray = NDArray[np.float64]
 
 _LATTICE = 32
 _FEW_STARS = 6

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
@@ -22,9 +22,6 @@ from startracker.identification.whole_sky import all_stars, brightest_stars, qua
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.settings import IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _POOR = 20
 _BEYOND_DOUBT = 7.0

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.centroid import Centroider
 from startracker.centroid.result import Centroids
@@ -23,16 +23,13 @@ from startracker.detection.trailed import trails_win
 from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
+from startracker.given_image import GivenImage
 from startracker.kernels import clock
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
 from startracker.trace import Step, Steps
 from startracker.trails import Trails, find_trails, mid_exposure
-
-__all__ = ["Clock", "FoundStars", "find_stars"]
-
-FloatArray = NDArray[np.float64]
 
 _WHITE_SHARE = 0.5
 """Fraction of saturated pixels above which no stars are searched for."""
@@ -92,23 +89,20 @@ class FoundStars:
 
 
 def find_stars(
-    image: ArrayLike,
+    given: GivenImage,
     detect: Detector,
     measure: Centroider,
     detection: DetectionSettings,
     centroid: CentroidSettings,
     clock: Clock,
-    *,
     camera: Camera | None = None,
-    saturation_dn: float | None = None,
-    gain_e_per_dn: float | None = None,
 ) -> FoundStars:
     """Background, detection, points or trails, and centroids of an image.
 
     Parameters
     ----------
-    image : array_like, shape (H, W)
-        Any unit; NaN marks bad pixels.
+    given : GivenImage
+        The image (H, W) in any unit, NaN for bad pixels, and what is known of its detector.
     detect, measure
         Methods of `startracker.detection` and `startracker.centroid`.
     clock : Clock
@@ -123,7 +117,7 @@ def find_stars(
         An image that cannot be used gives a status; it does not raise.
     """
     shape = None if camera is None else (camera.height, camera.width)
-    found, fault = survey(image, shape, saturation_dn)
+    found, fault = survey(given.image, shape, given.saturation_dn)
     if found is None:
         return FoundStars(status=Status.BAD_IMAGE, reason=fault)
     share, level = found.saturated_share, found.saturation_dn
@@ -139,11 +133,9 @@ def find_stars(
         reason = f"every pixel is {found.highest:g}"
         return FoundStars(status=Status.NO_STARS, reason=reason, steps=Steps(*steps))
     try:
-        pixels, background, spots = _detect(found, detect, detection, saturation_dn, clock)
+        pixels, background, spots = _detect(found, detect, detection, given.saturation_dn, clock)
         steps.append(partial(background_step, background))
-        looks = _Looks(
-            found, pixels, background, spots, measure, detection, centroid, clock, saturation_dn, gain_e_per_dn, camera
-        )
+        looks = _Looks(given, found, pixels, background, spots, measure, detection, centroid, clock, camera)
         stars = looks.points(spots) if camera is None else looks.decided()
         return replace(stars, steps=Steps(*steps, stars.steps))
     except InputError as error:
@@ -178,6 +170,7 @@ def _background(pixels: Image, detection: DetectionSettings) -> Background:
 class _Looks:
     """The stars of one frame as points and as trails; each is only measured on demand."""
 
+    given: GivenImage
     survey: Survey
     pixels: Image
     background: Background
@@ -186,8 +179,6 @@ class _Looks:
     detection: DetectionSettings
     centroid: CentroidSettings
     clock: Clock
-    saturation_dn: float | None
-    gain_e_per_dn: float | None
     camera: Camera | None
 
     def decided(self) -> FoundStars:
@@ -221,7 +212,7 @@ class _Looks:
 
     def points(self, spots: Spots) -> FoundStars:
         """Centroids of the candidates by the chosen method."""
-        found = self.measure(self.pixels, self.background, spots, self.centroid, self.gain_e_per_dn)
+        found = self.measure(self.pixels, self.background, spots, self.centroid, self.given.gain_e_per_dn)
         self.clock.lap("centroid")
         step = partial(detection_steps, spots, self.detection, self.background)
         return self._found(found, step, spots.are_streaks)
@@ -231,10 +222,10 @@ class _Looks:
         """Trails of the frame, or None if they share no common motion."""
         known = self.spots if self.spots.are_streaks else self.spots.other
         if known is None and self.spots.direction_rad is None:  # not every detector searches for them
-            known = find_trailed(fill_gaps(self.pixels), self.background, self.detection, self.saturation_dn)
+            known = find_trailed(fill_gaps(self.pixels), self.background, self.detection, self.given.saturation_dn)
         found = find_trails(
-            self.pixels, self.background, self.detection, self.saturation_dn, self.gain_e_per_dn, _lines(known),
-            self.spots.direction_rad, self.camera,
+            self.pixels, self.background, self.detection, self.given.saturation_dn, self.given.gain_e_per_dn,
+            _lines(known), self.spots.direction_rad, self.camera,
         )  # fmt: skip
         self.clock.lap("trails")
         return found

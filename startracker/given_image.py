@@ -9,9 +9,6 @@ import numpy as np
 from startracker.errors import InputError
 from startracker.observer import Observer, observer_of
 
-__all__ = ["GivenImage", "given_image", "prior_of"]
-
-
 STATED_PRIOR_DEG = 1.0
 """Maximum error of a prior that is given without one."""
 

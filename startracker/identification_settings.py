@@ -17,19 +17,6 @@ from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
-__all__ = [
-    "SETTINGS",
-    "AdaptiveSettings",
-    "AnyIdentificationSettings",
-    "IdentificationSettings",
-    "MatchGroupSettings",
-    "PatternHashSettings",
-    "PyramidSettings",
-    "TriadSettings",
-    "settings_of",
-    "unread_keys",
-]
-
 _LIMITS: dict[str, tuple[float, float]] = {
     "min_stars": (2, math.inf),
     "close_pair_deg": FROM_0,

@@ -20,8 +20,6 @@ from startracker.display import described, html_card
 from startracker.errors import InputError
 from startracker.picture import photograph
 
-__all__ = ["LoadedImage", "read_image", "sample_photo"]
-
 _FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
 _MOST_PIXELS = 400_000_000
 _ORIENTATION_TAG = 274

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["is_rotation", "is_skycoord", "is_time", "julian_year", "plain", "rotation_quat", "skycoord_deg"]
-
 
 def plain(given: Any, unit: str, name: str) -> Any:
     """Value in a unit of an astropy ``Quantity`` (or ``Angle``); anything else is returned unchanged.

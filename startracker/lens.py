@@ -9,25 +9,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.distortion import Distortion
-
-__all__ = [
-    "PARAMETERS",
-    "by_turn",
-    "change_lens",
-    "corner_radius",
-    "is_one_to_one",
-    "only",
-    "plain",
-    "prior_of",
-    "sensitivity",
-    "value_of",
-]
-
-FloatArray = NDArray[np.float64]
 
 PARAMETERS = {
     "pinhole": ("f", "aspect", "cx", "cy", "k1", "k2", "k3", "p1", "p2"),

@@ -12,26 +12,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.camera import Camera
 from startracker.lens import by_turn, change_lens, is_one_to_one, prior_of, sensitivity, value_of
-
-__all__ = [
-    "REFRACTION_SIGMA",
-    "JointFit",
-    "Matches",
-    "fit_jointly",
-    "image_equations",
-    "noise_floor",
-    "rescaled",
-    "significant",
-    "stretch",
-]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _TOGETHER = (("cx", "cy"), ("aspect",), ("p1", "p2"))
 """Parameters that are included or excluded together; radial ones are excluded from the highest power down."""

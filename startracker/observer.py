@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.display import described
 from startracker.ephemeris import barycentric, timescale
 from startracker.errors import InputError
 from startracker.interop import is_time, julian_year, plain
-
-FloatArray = NDArray[np.float64]
 
 EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
 """Orbital speed of the Earth, and of a satellite in a low Earth orbit."""

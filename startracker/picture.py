@@ -16,8 +16,6 @@ from startracker.display import PICTURE_PX
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "figure_bytes", "photograph", "pixel_bytes", "rgb_pixels", "stretch"]
-
 FORMATS = ("png", "jpg", "jpeg", "svg", "pdf")
 """Output formats of pictures, by file suffix."""
 _NO_DATE: dict[str, dict[str, Any]] = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}

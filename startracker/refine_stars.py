@@ -5,19 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
 from startracker.observer import Observer
 from startracker.refine import Measured, Refined, refine
-
-__all__ = ["refine_stars"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def refine_stars(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.bodies import NO_BODIES, SeenBodies
 from startracker.camera import Camera
@@ -19,8 +20,6 @@ from startracker.errors import InputError
 from startracker.interop import is_skycoord, plain
 from startracker.observer import Observer, aberrate, corrects_aberration
 from startracker.trace import Step
-
-FloatArray = NDArray[np.float64]
 
 _NAMED_STARS = 8
 """Stars named in the chart of a notebook, the brightest."""

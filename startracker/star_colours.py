@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["rgb_of_b_v", "star_tint", "tinted"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _B_V_GRID = np.linspace(-0.4, 2.0, 49)
 _C2_NM_K = 1.438776877e7

@@ -13,8 +13,6 @@ from startracker.detection.defects import mask_extremes
 from startracker.detection.values import Image, as_pixels
 from startracker.display import fields_repr
 
-__all__ = ["SATURATED_SHARE", "Survey", "plain", "says_saturated", "survey"]
-
 SATURATED_SHARE = 0.05
 """Fraction of saturated pixels above which an unsolved image gets the status `saturated`."""
 

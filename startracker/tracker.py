@@ -8,12 +8,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -40,11 +41,6 @@ from startracker.solution import MatchedStars, Solution, Status
 from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps
 from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
-
-__all__ = ["StarTracker"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 STATED_PX = 0.15
 """Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
@@ -160,17 +156,7 @@ class StarTracker:
             An image that cannot be solved does not raise; see the status and the reason.
         """
         clock, given = Clock(), given_image(image, observer, time, saturation_dn, gain_e_per_dn)
-        found = find_stars(
-            given.image,
-            self._detect,
-            self._measure,
-            self.detection,
-            self.centroid,
-            clock,
-            camera=self.camera,
-            saturation_dn=given.saturation_dn,
-            gain_e_per_dn=given.gain_e_per_dn,
-        )
+        found = find_stars(given, self._detect, self._measure, self.detection, self.centroid, clock, camera=self.camera)
         if found.status is not None:
             explained = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=explained)

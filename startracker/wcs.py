@@ -25,15 +25,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, matrix_to_quat
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD, SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.observer import aberrate
 
-__all__ = ["wcs_header"]
-
-FloatArray = NDArray[np.float64]
 Rays = Callable[[FloatArray], FloatArray]
 
 _GRID = 31

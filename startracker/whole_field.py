@@ -6,16 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.front_end import FoundStars
 from startracker.solution import Solution
-
-__all__ = ["MISFIT_PX", "best_look", "is_whole", "may_be_pieces", "misfit_px"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MISFIT_PX = 3.0
 """Maximum rms residual of star centroids."""

@@ -1,8 +1,21 @@
 """Settings of all tests."""
 
+import pytest
 from hypothesis import settings
 
+from simulator.study.report import drawing
+
 # The same examples every time, so that a green run stays green; make test-all looks for new ones.
-settings.register_profile("repeat", derandomize=True)
+settings.register_profile("repeat", derandomize=True, max_examples=60)
 settings.register_profile("explore", max_examples=400)
 settings.load_profile("repeat")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def process_of_pages():
+    """Pages are drawn by the process of the tests, as another imports matplotlib anew for three seconds; the function
+    that starts one is for the tests of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        before = drawing.in_a_process
+        patch.setattr(drawing, "in_a_process", drawing.answer)
+        yield before

@@ -12,6 +12,7 @@ from benchmarks.speed.workload import PLAIN, even_scenario, expose, renderer, sc
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
 from startracker.front_end import Clock, find_stars
+from startracker.given_image import given_image
 from startracker.settings import CentroidSettings, DetectionSettings
 
 SIDE, STARS, SIGMA_PX, READ_E = 1024, 200, 0.9, 10.0
@@ -92,14 +93,12 @@ def test_find_boresight(timed):
 
     def find(_):
         return find_stars(
-            readout.image,
+            given_image(readout),
             DETECTORS["components"],
             CENTROIDERS["maximum_likelihood"],
             DetectionSettings(max_stars=1000),
             CentroidSettings(),
             Clock(),
-            saturation_dn=readout.saturation_dn,
-            gain_e_per_dn=readout.gain_e_per_dn,
         )
 
     assert len(timed(find, lambda _: None, 30).xy) > 0.8 * STARS

@@ -16,6 +16,7 @@ from startracker.catalog import guide as guides
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
 from startracker.front_end import Clock, find_stars
+from startracker.given_image import given_image
 from startracker.identification import METHODS
 from startracker.identification.observed import Observed
 from startracker.settings import IdentificationSettings
@@ -43,14 +44,12 @@ def test_detection_and_centroids(timed):
 
     def find(frame):
         return find_stars(
-            frame.image,
+            given_image(frame),
             DETECTORS[settings.detector],
             CENTROIDERS[settings.centroider],
             settings.detection,
             settings.centroid,
             Clock(),
-            saturation_dn=frame.saturation_dn,
-            gain_e_per_dn=frame.gain_e_per_dn,
         )
 
     assert len(timed(find, lambda index: made.frame(index)[0], 30).xy) > 5

@@ -15,10 +15,18 @@ from typing import Annotated, Any
 
 import typer
 
-from simulator.cli.export_request import ExportRequest
+from simulator.cli.live_request import ServeRequest
 from simulator.cli.options import ScenarioFile, ScenarioFiles, SetValues, as_command, option, switch
-from simulator.cli.photograph_requests import CalibrateRequest, SolveRequest
-from simulator.cli.run_requests import DatasheetRequest, RenderRequest, RunRequest, SweepRequest
+from simulator.cli.requests import (
+    CalibrateRequest,
+    DatasheetRequest,
+    ExportRequest,
+    RenderRequest,
+    RunRequest,
+    SolveRequest,
+    SweepRequest,
+)
+from simulator.cli.stimulate_command import stimulate_app
 from simulator.cli.study_command import study_app
 from simulator.cli.suggesting import SuggestingGroup, usage_error_line
 from startracker._version import __version__
@@ -117,6 +125,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
     ("sweep", as_command(SweepRequest, "sweep_command"), _SIMULATE,
      "boresight sweep cubesat --over optics.aperture_mm=6:24:7"),
     ("datasheet", as_command(DatasheetRequest, "datasheet_command"), _SIMULATE, "boresight datasheet cubesat --quick"),
+    ("serve", as_command(ServeRequest, "serve_command"), _SIMULATE, "boresight serve cubesat"),
     ("solve", as_command(SolveRequest, "solve_command"), _SOLVE, "boresight solve photo.jpg --annotate solved.png"),
     ("calibrate", as_command(CalibrateRequest, "calibrate_command"), _SOLVE,
      "boresight calibrate *.tiff --out camera.yaml --plot fit.png"),
@@ -131,6 +140,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
 for _name, _function, _group, _example in _COMMANDS:
     app.command(_name, rich_help_panel=_group, epilog=f"Example: {_example}")(_function)
 app.add_typer(study_app, name="study", rich_help_panel=_SIMULATE)
+app.add_typer(stimulate_app, name="stimulate", rich_help_panel=_SIMULATE)
 
 
 @contextmanager

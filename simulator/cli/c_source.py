@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from simulator.cli.centroid_list import parse_size
-from simulator.cli.export_request import ExportRequest
+from simulator.cli.requests import ExportRequest
 from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
 from simulator.study.exported_c.build import Build, compile_export, native_compiler

@@ -10,7 +10,7 @@ import numpy as np
 
 from simulator.cli.checks import picture_format, writable
 from simulator.cli.image_files import FITS_SUFFIXES, image_files, is_our_frame
-from simulator.cli.photograph_requests import CalibrateRequest
+from simulator.cli.requests import CalibrateRequest
 from simulator.fits import read_fits
 from simulator.paths import write_atomically
 from startracker import centroid as centroiding
@@ -21,6 +21,7 @@ from startracker.calibration.plot import residual_picture
 from startracker.camera import Camera
 from startracker.errors import BoresightError, InputError
 from startracker.front_end import Clock, find_stars
+from startracker.given_image import given_image
 from startracker.image import read_image
 from startracker.observer import Observer
 from startracker.registry import lookup
@@ -83,26 +84,20 @@ def _check(request: CalibrateRequest) -> None:
 def _field(path: Path, request: CalibrateRequest) -> StarField:
     """Centroids of one image file."""
     observer = None if request.epoch_jyear is None else Observer(request.epoch_jyear)
-    gain: float | None = None
-    saturation: float | None
     if path.suffix.lower() in FITS_SUFFIXES and is_our_frame(path):
         frame = read_fits(path)
-        image, saturation, gain = frame.image, frame.saturation_dn, frame.gain_e_per_dn
-        observer = frame.observer
+        given, observer = given_image(frame), frame.observer
     else:
-        loaded = read_image(path, upright=False)  # one orientation for all: the sensor's own
-        image, saturation = loaded.image, loaded.saturation_dn
+        given = given_image(read_image(path, upright=False))  # one orientation for all: the sensor's own
     found = find_stars(
-        image,
+        given,
         detecting.METHODS["components"],
         lookup("centroiders", centroiding.METHODS, request.centroider),
         DetectionSettings(max_stars=_MOST_STARS),
         CentroidSettings(),
         Clock(),
-        saturation_dn=saturation,
-        gain_e_per_dn=gain,
     )
     if found.status is not None:
         raise InputError(f"{path}: {found.reason}")
-    height, width = np.shape(image)
+    height, width = np.shape(given.image)
     return StarField(path.name, found.xy, width, height, found.flux, found.variance_px2, observer)

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["parse_pixel", "parse_size", "read_centroids"]
-
 
 def parse_size(text: str) -> tuple[int, int]:
     """Width and height of ``WxH``; `InputError` for anything else."""

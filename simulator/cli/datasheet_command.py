@@ -6,7 +6,7 @@ from pathlib import Path
 
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
-from simulator.cli.run_requests import DatasheetRequest
+from simulator.cli.requests import DatasheetRequest
 from simulator.cli.terminal import open_console, print_table, progress_bar
 from simulator.cli.verdicts import print_judgement
 from simulator.study.datasheet.run import RESULT_FILES, datasheet

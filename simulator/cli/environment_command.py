@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from simulator.study.environment.survey import EnvironmentSurvey
 
-__all__ = ["environment_study"]
-
 
 def environment_study(
     scenario: ScenarioFile,
@@ -26,18 +24,19 @@ def environment_study(
 ) -> int:
     """Radiation along the orbit: particles of each frame, dose by shield, and ageing with its range."""
     from simulator.checks import load_scenario
-    from simulator.study.environment.files import RESULT_FILES, write_environment
+    from simulator.study.environment.plots import environment_figures
     from simulator.study.environment.survey import survey
-    from simulator.study.results_folder import Identity, results_folder, scenario_sha256
+    from simulator.study.result_files import write_study
+    from simulator.study.results_folder import study_folder
 
     loaded = load_scenario(scenario, set_values)
-    identity = Identity("environment", loaded.name, loaded.seed, scenario_sha256(loaded, environment=True))
-    with results_folder(out or Path("out") / f"{loaded.name}-environment", identity, force=force) as folder:
+    with study_folder("environment", loaded, out, force, environment=True) as (folder, identity):
         with open_console(error=True).status("computing"):
             result = survey(loaded)
-        write_environment(result, folder, identity)
+        figures = environment_figures(result)
+        files = write_study(folder, "environment", result.summary(), identity, figures, result.to_table())
     _print_environment(result, open_console())
-    print(f"{folder}: {', '.join(RESULT_FILES)}")
+    print(f"{folder}: {', '.join(files)}")
     return 0
 
 

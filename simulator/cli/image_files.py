@@ -10,8 +10,6 @@ from simulator.paths import make_folder
 from startracker.errors import InputError
 from startracker.image import sample_photo
 
-__all__ = ["FITS_SUFFIXES", "OutputFiles", "image_files", "is_our_frame", "shown_name", "spooled"]
-
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *FITS_SUFFIXES)
 

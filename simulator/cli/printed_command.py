@@ -18,8 +18,6 @@ from startracker.errors import InputError
 if TYPE_CHECKING:
     from simulator.theses.printed import PrintedStudy
 
-__all__ = ["PictureRequest", "finish", "greyling1995_study"]
-
 WIDTH = 140  # columns of the table where the output is no terminal
 
 SectionName = Annotated[

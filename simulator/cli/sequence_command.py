@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
-from simulator.cli.run_requests import RunRequest
+from simulator.cli.requests import RunRequest
 from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
 from simulator.cli.verdicts import print_judgement
 from simulator.study.sequence.animation import find_ffmpeg

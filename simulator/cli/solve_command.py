@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simulator.cli.centroid_list import parse_pixel, parse_size, read_centroids
 from simulator.cli.checks import picture_format, utc_time, writable
 from simulator.cli.image_files import FITS_SUFFIXES, OutputFiles, image_files, is_our_frame, shown_name, spooled
-from simulator.cli.photograph_requests import PARITIES, SolveRequest
+from simulator.cli.requests import PARITIES, SolveRequest
 from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wcs
 from simulator.fits import read_fits
 from simulator.frame import Frame

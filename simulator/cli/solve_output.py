@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 from simulator.cli.checks import picture_format
 from simulator.paths import write_atomically
 from startracker import explain as explaining
+from startracker.arrays import FloatArray
 from startracker.observer import Observer
 from startracker.solution import Solution
 from startracker.wcs import wcs_header
-
-__all__ = ["as_dict", "as_text", "write_picture", "write_wcs"]
-
-FloatArray = NDArray[np.float64]
 
 
 def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -> dict[str, Any]:

@@ -18,8 +18,6 @@ from simulator.cli.printed_command import PictureRequest, greyling1995_study
 from simulator.cli.suggesting import SuggestingGroup
 from simulator.cli.terminal import open_console, progress_bar
 
-__all__ = ["STUDIES", "study_app"]
-
 AlongPath = Annotated[bool, switch("--path", "Use the boresight path of the mission instead of the whole sky.")]
 Force = Annotated[bool, switch("--force", "Replace results of another scenario, version or longer study in DIR.")]
 Workers = Annotated[int, option("--workers", "N", "Processes on this machine.")]
@@ -57,10 +55,11 @@ def coverage_study(
     """Stars in the field over the whole sky or along the path: map, minimum, availability."""
     from simulator.checks import load_scenario
     from simulator.cli.study_output import print_coverage
-    from simulator.study.coverage.exclusions import exclusion_of
-    from simulator.study.coverage.files import RESULT_FILES, write_coverage
+    from simulator.study.coverage.boresights import exclusion_of
+    from simulator.study.coverage.maps import coverage_figures
     from simulator.study.coverage.survey import coverage
-    from simulator.study.results_folder import Identity, results_folder, scenario_sha256
+    from simulator.study.result_files import write_study
+    from simulator.study.results_folder import study_folder
 
     loaded = load_scenario(scenario, set_values)
     exclusion = exclusion_of(loaded, {"sun": sun_deg, "moon": moon_deg, "earth": earth_deg})
@@ -72,13 +71,13 @@ def coverage_study(
         "circle_deg": circle_deg,
         "exclusion": exclusion,
     }
-    sha256 = scenario_sha256(loaded, coverage=True, **asked)
-    identity = Identity("coverage", loaded.name, loaded.seed, sha256, {"boresights": boresights})
-    with results_folder(out or Path("out") / f"{loaded.name}-coverage", identity, force=force) as folder:
+    amounts = {"boresights": boresights}
+    with study_folder("coverage", loaded, out, force, amounts, coverage=True, **asked) as (folder, identity):
         result = coverage(loaded, boresights, **asked)
-        write_coverage(result, loaded, folder, identity)
+        figures = coverage_figures(result)
+        files = write_study(folder, "coverage", result.summary(), identity, figures, result.to_table(loaded))
     print_coverage(result, open_console())
-    print(f"{folder}: {', '.join(RESULT_FILES)}")
+    print(f"{folder}: {', '.join(files)}")
     return 0
 
 
@@ -116,10 +115,11 @@ def design_study(
     """Find the smallest aperture, field or exposure that meets the specification and an availability."""
     from simulator.checks import load_scenario
     from simulator.cli.study_output import print_design, print_verified
-    from simulator.study.design.files import write_design
+    from simulator.study.design.plot import design_plot
     from simulator.study.design.search import Search, Trade, design
     from simulator.study.design.verification import Verified, trials_for, verified_design
-    from simulator.study.results_folder import Identity, results_folder, scenario_sha256
+    from simulator.study.result_files import write_study
+    from simulator.study.results_folder import study_folder
 
     at_least(0, verify=verify_trials)
     at_least(1, workers=workers)
@@ -127,11 +127,10 @@ def design_study(
     trials = trials_for(loaded) if verify_trials is None else verify_trials
     progress, console = open_console(error=True), open_console()
     trade = Trade(over, low, high, steps, stars, availability, boresights, path)
-    asked = {name: getattr(trade, name) for name in ("steps", "least_stars", "least_availability", "path")}
-    sha256 = scenario_sha256(loaded, design=(over, low, high), **asked)
+    asked: dict[str, Any] = {n: getattr(trade, n) for n in ("steps", "least_stars", "least_availability", "path")}
+    asked |= {"design": (over, low, high)}
     amounts = {"boresights": boresights, "verification trials": trials}
-    identity = Identity("design", loaded.name, loaded.seed, sha256, amounts)
-    with results_folder(out or Path("out") / f"{loaded.name}-design", identity, force=force) as folder:
+    with study_folder("design", loaded, out, force, amounts, **asked) as (folder, identity):
         with progress.status("computing") as status:
             search = Search(loaded, trade, lambda done: status.update(f"computing: {done} values of {over}"))
             found = Verified(design(loaded, trade, search=search), ())
@@ -144,8 +143,8 @@ def design_study(
 
                 found = verified_design(loaded, trade, trials, workers, search, report)
             print_verified(found, console)
-        write_design(found, folder, identity)
-    print(f"{folder}: design.json, design.png")
+        files = write_study(folder, "design", found.to_dict(), identity, {"design": design_plot(found)})
+    print(f"{folder}: {', '.join(files)}")
     return 1 if found.design.best is None or found.contradicted else 0
 
 
@@ -163,25 +162,20 @@ def budget_study(
     from simulator.checks import load_scenario
     from simulator.study.budget.error_budget import budget
     from simulator.study.budget.plot import budget_figure
-    from simulator.study.plots import save_bytes
-    from simulator.study.result_files import json_text, write_files
-    from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
+    from simulator.study.result_files import write_study
+    from simulator.study.results_folder import standing, study_folder
 
     loaded = load_scenario(scenario, set_values)
-    sha256 = scenario_sha256(loaded, budget=True)
-    identity = Identity("budget", loaded.name, loaded.seed, sha256, {"trials": trials})
-    with results_folder(out or Path("out") / f"{loaded.name}-budget", identity, force=force) as folder:
+    with study_folder("budget", loaded, out, force, {"trials": trials}, budget=True) as (folder, identity):
         with progress_bar(f"{loaded.name}: error budget", "trials") as progress:
             result = budget(loaded, trials, workers, progress=progress)
         print(result.table())
         if result.interrupted and not force and standing(folder, "budget"):
             print(f"{folder}: the previous budget is kept, as this one was interrupted")
             return 130
-        if result.interrupted:
-            identity = replace(identity, amounts={"trials": 0})
-        values = result.to_dict() | {"identity": identity.to_dict()}
-        write_files(folder, {"budget.json": json_text(values), "budget.png": save_bytes(budget_figure(result))})
-    print(f"{folder}: budget.json, budget.png")
+        stated = replace(identity, amounts={"trials": 0}) if result.interrupted else identity
+        files = write_study(folder, "budget", result.to_dict(), stated, {"budget": budget_figure(result)})
+    print(f"{folder}: {', '.join(files)}")
     return 130 if result.interrupted else 0
 
 

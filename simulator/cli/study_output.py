@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from simulator.cli.terminal import print_table
 from simulator.cli.verdicts import coloured, print_judgement
-from simulator.study.coverage.exclusions import everything_excluded
+from simulator.study.coverage.boresights import everything_excluded
 from simulator.study.design.search import PARAMETERS
 from simulator.study.specification.requirements import Requirement
 from simulator.study.texts import deg_text
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from simulator.study.coverage.survey import Coverage
     from simulator.study.design.search import Design
     from simulator.study.design.verification import Verified
-
-__all__ = ["print_coverage", "print_design", "print_verified"]
 
 
 def print_coverage(result: Coverage, console: Console) -> None:

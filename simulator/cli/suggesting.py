@@ -11,8 +11,6 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-__all__ = ["SuggestingGroup", "usage_error_line"]
-
 _ORDER = ("run", "render", "sweep", "study", "solve", "calibrate", "report", "compare", "validate", "show", "schema")
 """Of the commands in help; others follow as they were registered."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from simulator.cli.checks import at_least, processes
-from simulator.cli.run_requests import SweepRequest
+from simulator.cli.requests import SweepRequest
 from simulator.cli.terminal import WorkBar, open_console, print_table
 from simulator.cli.verdicts import coloured
 from simulator.paths import write_atomically
@@ -112,8 +112,7 @@ def _print(sweep: Sweep, console: Console) -> None:
 def compare_runs(folders: list[str], out: Path) -> int:
     """Compare runs; prints a table and writes the page."""
     from simulator.study.sweep.compare import compare
-    from simulator.study.sweep.compare_page import comparison_page
-    from simulator.study.sweep.page import interval_text, percent_text, value_text
+    from simulator.study.sweep.page import comparison_page, interval_text, percent_text, value_text
 
     comparison = compare(folders)
     write_atomically(out, comparison_page(comparison))

@@ -10,8 +10,6 @@ from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judg
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["coloured", "print_judgement"]
-
 _COLOURS = {MET: "green", NOT_MET: "red", UNDECIDED: "yellow"}
 
 

@@ -7,8 +7,6 @@ import textwrap
 from simulator.scenario.files import included_scenarios
 from startracker._version import __version__
 
-__all__ = ["welcome_text"]
-
 _TRY = (
     ("boresight run cubesat --trials 100", "accuracy of a star tracker in orbit: out/cubesat/report.html"),
     ("boresight render moon --preview moon.png", "one frame of a scenario as a picture"),

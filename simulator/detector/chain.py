@@ -20,9 +20,8 @@ from simulator.detector.parameters import CosmicRays, DetectorParameters
 from simulator.detector.pixels import PixelPipeline
 from simulator.detector.steps import Step, of_map
 from simulator.randomness import Streams
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 
 class Moment(NamedTuple):

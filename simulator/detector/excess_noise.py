@@ -13,8 +13,6 @@ from __future__ import annotations
 
 from simulator.detector.parameters import DetectorParameters
 
-__all__ = ["bunch_e", "excess_noise_factor", "signal_gain"]
-
 
 def signal_gain(detector: DetectorParameters) -> float:
     """Mean electrons in the detector per photo-electron: the gain of the intensifier, 1 without one."""

@@ -7,15 +7,11 @@ A photo-electron of the photocathode produces a random number of electrons, spre
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector.parameters import DetectorParameters, Intensifier
 from simulator.detector.pixels import apply_steps
 from simulator.detector.steps import SHOT_NOISE, Step
-
-__all__ = ["intensify", "multiply"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _KERNEL_SIGMAS = 5.0
 

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 
 Image = NDArray[Any]
 Pair = tuple[Image, Image]
-FloatArray = NDArray[np.float64]
 
 QUANTISATION_DN2 = 1.0 / 12.0
 """Variance of rounding to integer DN."""

@@ -12,10 +12,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
+from startracker.arrays import FloatArray, SingleArray
 
 TILE = 2048
 """Pixels per tile. The noise of a seed depends on it: pixel k uses the 32 bits (k mod TILE) div (TILE/4) of the block

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector.parameters import Video
 from simulator.detector.pixels import apply_steps
 from simulator.detector.steps import GAUSSIAN_NOISE, Step
-
-__all__ = ["video_signal"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _KERNEL_SIGMAS = 5.0
 

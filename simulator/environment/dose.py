@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.constants import SECONDS_PER_YEAR
 from simulator.environment import matter, shield, solar
@@ -16,8 +15,7 @@ from simulator.environment.spectrum import Spectrum
 from simulator.environment.trapped import ELECTRON_MEV, PROTON_MEV, TrappedBelts
 from simulator.mission.frames import itrs_km
 from simulator.mission.trajectory import Trajectory, geocentric
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 SAMPLES, SAMPLED_DAYS = 6000, 30.03
 """Positions of the mean, every 7 minutes over a month, so that every longitude is crossed at every latitude. Three

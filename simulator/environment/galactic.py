@@ -14,12 +14,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.environment.coefficients import Estimate, coefficient
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 PROTON_GEV = 0.938272
 NUCLEON_GEV = 0.9315

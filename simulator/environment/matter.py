@@ -6,9 +6,9 @@ Between the points all columns are power laws (linear in logarithms).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 ALUMINIUM_G_CM3 = 2.699
 SILICON_G_CM3 = 2.329

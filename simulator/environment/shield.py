@@ -13,12 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.environment import matter
 from simulator.environment.spectrum import Spectrum
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _LEAST_PROTON_MEV, _LEAST_ELECTRON_MEV = 0.1, 0.04
 _POINTS = 1500

@@ -7,11 +7,9 @@ The fluence of one event above an energy is 7.9 × 10⁹ exp((30 − E) / 26.5) 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.environment.spectrum import Spectrum
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 EVENT_MEV = np.array([10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, 125, 150, 200.0])
 """Energies of the spectrum: 10 to 200 MeV, beyond which the exponential is not supported."""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector.cosmic_rays import PAIR_ENERGY_EV
 from simulator.detector.parameters import CosmicRays
@@ -21,8 +20,7 @@ from simulator.environment.parameters import Environment
 from simulator.environment.trapped import ELECTRON_MEV, TrappedBelts
 from simulator.mission.clock import Clock
 from simulator.mission.frames import itrs_km
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 BEHIND_MEV = np.array([0.5, 5.0, 15.0, 40.0, 100.0, 400.0])
 """Limits of the groups of trapped protons, by energy behind the shield."""

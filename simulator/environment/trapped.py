@@ -13,13 +13,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.environment.coefficients import Estimate, coefficient
 from simulator.environment.spectrum import Spectrum
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 DRIFT_DEG_YEAR = 0.3
 """Westward drift of the anomaly."""

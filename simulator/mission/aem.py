@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from simulator.mission.attitude_table import AttitudeSegment, continuous, interpolated
@@ -25,11 +24,8 @@ from simulator.mission.segments import (
     read_segments,
     segment_times,
 )
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["AemSegments", "read_aem"]
-
-FloatArray = NDArray[np.float64]
 
 _REQUIRED = (
     "OBJECT_NAME",

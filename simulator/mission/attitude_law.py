@@ -6,14 +6,10 @@ import math
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
-
-__all__ = ["AttitudeLaw", "law_attitude", "law_rate_rad_s"]
-
-FloatArray = NDArray[np.float64]
 
 _STEP_S = 0.01
 """Half of the interval of the numerical rate: relative error (ω h)²/6 of a steady rate, 4e-8 s of rounding in times of

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from simulator.mission.attitude_law import after, body_of, from_matrices
@@ -21,11 +20,8 @@ from simulator.mission.pointing import level_matrices
 from simulator.mission.tables import read_rows
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
 from simulator.mission.trajectory import Trajectory
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["AttitudeSegment", "TabulatedAttitude", "continuous", "interpolated", "read_attitude_table"]
-
-FloatArray = NDArray[np.float64]
 
 QUATERNION_COLUMNS = ("qx", "qy", "qz", "qw")
 LOCAL_LEVEL = "local_level"

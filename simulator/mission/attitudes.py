@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from simulator.mission.aem import read_aem
 from simulator.mission.attitude_law import AttitudeLaw
 from simulator.mission.attitude_table import TabulatedAttitude, read_attitude_table
@@ -18,11 +15,8 @@ from simulator.mission.slews import build_slews
 from simulator.mission.tracking import build_tracking
 from simulator.mission.trajectories import build_trajectory
 from simulator.mission.trajectory import Trajectory
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["attitude_from_file", "build_attitude_law"]
-
-FloatArray = NDArray[np.float64]
 
 
 def build_attitude_law(parameters: PointingParameters, orbit: Trajectory, folder: Path = Path()) -> AttitudeLaw | None:

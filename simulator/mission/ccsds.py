@@ -14,8 +14,6 @@ from xml.parsers import expat
 
 from startracker.errors import InputError
 
-__all__ = ["Item", "read_items", "read_text"]
-
 
 class Item(NamedTuple):
     """One entry of a message."""

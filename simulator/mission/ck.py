@@ -13,18 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.attitude_law import body_of, from_matrices
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import from_tdb_seconds, tdb_seconds
 from simulator.mission.spice import need_spiceypy
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["CkAttitude", "read_ck"]
-
-FloatArray = NDArray[np.float64]
 
 _DELTET = {
     "DELTET/DELTA_T_A": [32.184],

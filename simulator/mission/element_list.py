@@ -8,18 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import teme, to_gcrs
 from simulator.mission.mean_elements import MeanElements, epoch_s, read_elements, sgp4_record
 from simulator.mission.trajectory import States
+from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
-
-__all__ = ["ElementList"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class ElementList:

@@ -7,16 +7,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.clock import Clock
 from simulator.mission.frames import to_frame, to_gcrs
 from simulator.mission.kepler import Elements, perifocal, plane_axes, secular_rates
 from simulator.mission.trajectory import GM_KM3_S2, UNLIMITED
-
-__all__ = ["EllipticOrbit"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 
 @dataclass(frozen=True)

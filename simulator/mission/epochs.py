@@ -7,15 +7,11 @@ from collections.abc import Sequence
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
+from startracker.arrays import FloatArray
 from startracker.constants import J2000_JD_TT
 from startracker.errors import InputError
-
-__all__ = ["SCALES", "elapsed_s", "tdb_seconds"]
-
-FloatArray = NDArray[np.float64]
 
 SCALES = ("UTC", "TAI", "TT", "TDB", "GPS")
 """Time scales that can be read; TDT is TT."""

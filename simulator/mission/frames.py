@@ -7,13 +7,11 @@ import math
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.clock import Clock
+from startracker.arrays import FloatArray
 from startracker.constants import J2000_JD_TT
 from startracker.ephemeris import timescale
-
-FloatArray = NDArray[np.float64]
 
 
 def true_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
@@ -140,11 +138,6 @@ def raan_of_local_time(clock: Clock, local_time_h: float, t_s: float = 0.0) -> f
     midnight_fraction = (utc1 - 0.5) % 1.0 + utc2
     gast = float(erfa.gst06a(utc1, utc2, *clock.tt_jd(t_s)))
     return float(erfa.anp(gast + 2.0 * math.pi * (local_time_h / 24.0 - midnight_fraction)))
-
-
-def local_time_of_raan(clock: Clock, raan_rad: float, t_s: float = 0.0) -> float:
-    """Local mean solar time, hours in [0, 24), of a right ascension; the inverse of `raan_of_local_time`."""
-    return (raan_rad - raan_of_local_time(clock, 0.0, t_s)) % (2.0 * math.pi) * 12.0 / math.pi % 24.0
 
 
 def argument_of_latitude_deg(

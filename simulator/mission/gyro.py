@@ -6,11 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.parameters import Gyro
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 DEG_SQRT_H = math.radians(1.0) / 60.0
 """1 °/√h in rad/√s."""

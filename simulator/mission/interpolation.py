@@ -8,9 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["StateTable"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,6 @@ from simulator.optics.jitter import Jitter
 from simulator.optics.jitter_series import JitterSeries
 from startracker.constants import ARCSEC_RAD
 
-__all__ = ["read_jitter"]
-
 COLUMNS = ("x_arcsec", "y_arcsec", "z_arcsec")
 
 

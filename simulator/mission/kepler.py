@@ -6,14 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["Elements", "eccentric_anomaly", "elements_of", "periapsis_km", "perifocal", "secular_rates"]
-
-FloatArray = NDArray[np.float64]
 
 _ITERATIONS = 50
 _CONVERGED_RAD = 4e-15

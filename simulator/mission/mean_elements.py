@@ -12,17 +12,14 @@ from typing import Any, NamedTuple
 
 import erfa
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.ccsds import Item, read_items, read_text
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import teme, to_gcrs
 from simulator.mission.trajectory import refuse_outside
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["MeanElements", "MeanElementsOrbit", "epoch_s", "read_elements", "read_omm", "read_tle", "sgp4_record"]
-
-FloatArray = NDArray[np.float64]
 
 SGP4_EPOCH = datetime(1949, 12, 31)
 _REVOLUTIONS_DAY_TO_RAD_MIN = 2.0 * math.pi / 1440.0

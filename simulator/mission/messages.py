@@ -10,15 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from simulator.mission.clock import Clock
 from simulator.mission.trajectory import BARYCENTRE, Trajectory
-
-__all__ = ["Header", "acm_text", "aem_text", "oem_text"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 CAMERA_FRAME = "STARTRACKER_1"
 _AXES = f"COMMENT {CAMERA_FRAME}: +z along the boresight, +x along columns, +y along rows of the image"

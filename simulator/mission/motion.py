@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.parameters import PointingParameters, SequenceMotion, Slew, Spin
@@ -27,12 +26,9 @@ from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.slews import trapezoid
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
-
-__all__ = ["MotionState", "RateProfile", "motion", "on_mounting", "rate_profile"]
-
-FloatArray = NDArray[np.float64]
 
 _LARGEST_TURN_RAD = 0.02
 """Maximum rotation in one step of the integration."""
@@ -117,15 +113,8 @@ def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
     return slew.start_s + corners, speeds
 
 
-def motion(
-    pointing: PointingParameters,
-    sequence: SequenceMotion,
-    orbit: Trajectory,
-    start: Pointing,
-    since_s: Sequence[float],
-    law: AttitudeLaw | None = None,
-) -> list[MotionState]:
-    """True states at times of a sequence.
+class BodyMotion:
+    """The body over time, from one instant to the next.
 
     Parameters
     ----------
@@ -136,33 +125,69 @@ def motion(
         The trajectory; the local level refers to its centre.
     start : Pointing
         Attitude at the first frame, without jitter.
-    since_s : sequence of float
-        Times after the first frame in ascending order, from 0.
     law : AttitudeLaw, optional
         That of the section (`simulator.mission.attitudes`).
     """
-    profile = rate_profile(pointing, sequence)
-    if pointing.target is not None:
-        reference, rate_of = _inertial(start)
-    elif pointing.spin.rate_deg_s:
-        reference, rate_of = _spinning(pointing.spin)
-    elif law is not None:
-        reference, rate_of = functools.partial(law_attitude, law), functools.partial(law_rate_rad_s, law)
-    else:
-        reference, rate_of = _level(orbit)
-    at_start = start.body @ reference(sequence.start_s).inverse
-    turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
-    states = []
-    before_s = 0.0
-    for now_s in since_s:
-        if now_s > before_s:
-            turned = profile.turn(before_s, now_s) @ turned
-        before_s, t_s = now_s, sequence.start_s + now_s
-        in_reference = turned @ at_start
-        rate_body = in_reference.apply(rate_of(t_s)) + profile.at(now_s)
-        camera = start.mounting @ in_reference @ reference(t_s)
-        states.append(MotionState(t_s, camera, start.mounting.apply(rate_body)))
-    return states
+
+    def __init__(
+        self,
+        pointing: PointingParameters,
+        sequence: SequenceMotion,
+        orbit: Trajectory,
+        start: Pointing,
+        law: AttitudeLaw | None = None,
+    ) -> None:
+        self.profile = rate_profile(pointing, sequence)
+        if pointing.target is not None:
+            self._reference, self._rate_of = _inertial(start)
+        elif pointing.spin.rate_deg_s:
+            self._reference, self._rate_of = _spinning(pointing.spin)
+        elif law is not None:
+            self._reference, self._rate_of = (
+                functools.partial(law_attitude, law),
+                functools.partial(law_rate_rad_s, law),
+            )
+        else:
+            self._reference, self._rate_of = _level(orbit)
+        self._start, self._start_s = start, sequence.start_s
+        self._at_start = start.body @ self._reference(sequence.start_s).inverse
+        self._turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
+        self._before_s = 0.0
+
+    def at(self, now_s: float) -> MotionState:
+        """State without jitter at a time after the first frame, not before the last one asked for."""
+        if now_s > self._before_s:
+            self._turned = self.profile.turn(self._before_s, now_s) @ self._turned
+        self._before_s, t_s = now_s, self._start_s + now_s
+        in_reference = self._turned @ self._at_start
+        rate_body = in_reference.apply(self._rate_of(t_s)) + self.profile.at(now_s)
+        camera = self._start.mounting @ in_reference @ self._reference(t_s)
+        return MotionState(t_s, camera, self._start.mounting.apply(rate_body))
+
+    def add_rate(self, rate_rad_s: FloatArray) -> None:
+        """Add a rate (3,), body axes, from the last time asked for."""
+        self.profile = RateProfile(self.profile.t_s, self.profile.rate_rad_s + rate_rad_s)
+
+
+def motion(
+    pointing: PointingParameters,
+    sequence: SequenceMotion,
+    orbit: Trajectory,
+    start: Pointing,
+    since_s: Sequence[float],
+    law: AttitudeLaw | None = None,
+) -> list[MotionState]:
+    """True states at times of a sequence: those of a `BodyMotion`.
+
+    Parameters
+    ----------
+    pointing, sequence, orbit, start, law
+        As for `BodyMotion`.
+    since_s : sequence of float
+        Times after the first frame in ascending order, from 0.
+    """
+    body = BodyMotion(pointing, sequence, orbit, start, law)
+    return [body.at(now_s) for now_s in since_s]
 
 
 def on_mounting(state: MotionState, rotation_rad: FloatArray | None) -> MotionState:

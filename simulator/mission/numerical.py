@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
@@ -14,11 +14,8 @@ from simulator.mission.forces import Forces
 from simulator.mission.interpolation import StateTable
 from simulator.mission.parameters import ForceModel
 from simulator.mission.trajectory import GM_KM3_S2, osculating_period_s, refuse_outside
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["NumericalOrbit"]
-
-FloatArray = NDArray[np.float64]
 
 _RELATIVE, _ABSOLUTE = 1e-12, 1e-9
 """Tolerances of a step; the absolute one in km and km/s: 1 mm and 1 mm/s at small values."""

@@ -21,8 +21,6 @@ from simulator.mission.tabulated import Segment, TabulatedTrajectory
 from simulator.mission.trajectory import BARYCENTRE, CENTRES
 from startracker.errors import InputError
 
-__all__ = ["FRAMES", "read_oem"]
-
 FRAMES = {
     "ICRF": "icrf",
     "GCRF": "icrf",

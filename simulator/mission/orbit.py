@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
@@ -28,12 +28,9 @@ from simulator.mission.secular import (
     sun_synchronous_inclination,
 )
 from simulator.mission.trajectory import UNLIMITED, Trajectory
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
 from startracker.registry import lookup
-
-__all__ = ["PROPAGATORS", "J2Orbit", "Orbit", "Sgp4Orbit", "build_orbit"]
-
-FloatArray = NDArray[np.float64]
 
 DEFAULT_LTAN_H = 22.5
 """Local mean solar time of the ascending node if the section gives no node: 22:30 (descending node at 10:30), within 3°

@@ -12,37 +12,18 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.attitude_law import AttitudeLaw, law_attitude, law_rate_rad_s
 from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.registry import lookup
-
-__all__ = [
-    "MOUNTINGS",
-    "BoresightPath",
-    "Pointing",
-    "attitude_at",
-    "boresight_path",
-    "deformed",
-    "level_matrices",
-    "local_level",
-    "mounting_of",
-    "point",
-    "point_at_random",
-    "point_by",
-    "point_spinning",
-    "random_attitude",
-    "round_s",
-]
-
-FloatArray = NDArray[np.float64]
 
 _X, _Y, _Z = np.eye(3)
 

@@ -9,13 +9,10 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.randomness import stream
+from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TROPICAL_YEAR_S = 365.2422 * 86_400.0
 """Tropical year, in which a sun-synchronous node completes one revolution; Explanatory Supplement 2013."""

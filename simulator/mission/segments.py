@@ -9,16 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.ccsds import Item, read_items
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import elapsed_s
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["Layout", "WrittenSegment", "numbers", "of_object", "polynomial_nodes", "read_segments", "segment_times"]
-
-FloatArray = NDArray[np.float64]
 
 _HALF_MS = 5e-4
 """Tolerance of the comparison of epochs with those of the metadata."""

@@ -7,19 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from simulator.mission.attitude_law import body_of
 from simulator.mission.clock import Clock
 from simulator.mission.parameters import Waypoints
 from simulator.mission.trajectory import UNLIMITED, refuse_outside
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.errors import InputError
-
-__all__ = ["SlewLaw", "SplineLaw", "build_slews", "trapezoid"]
-
-FloatArray = NDArray[np.float64]
 
 
 def trapezoid(turn_rad: float, max_rate_deg_s: float, acceleration_deg_s2: float) -> tuple[FloatArray, FloatArray]:

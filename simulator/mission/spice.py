@@ -12,17 +12,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import tdb_seconds
 from simulator.mission.spk import NAIF
 from simulator.mission.trajectory import Trajectory
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["CAMERA_ID", "SPACECRAFT_ID", "Attitudes", "need_spiceypy", "spice_kernels"]
-
-FloatArray = NDArray[np.float64]
 
 SPACECRAFT_ID, CAMERA_ID = -999, -999_001
 """NAIF numbers of spacecraft and camera, from those that are not assigned."""

@@ -14,14 +14,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.parameters import Spin
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, radec_to_direction
-
-__all__ = ["cone_rate_rad_s", "spin_attitude", "spin_rate_rad_s"]
-
-FloatArray = NDArray[np.float64]
 
 
 def cone_rate_rad_s(spin: Spin) -> float:

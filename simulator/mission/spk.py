@@ -8,18 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import from_tdb_seconds, tdb_seconds
 from simulator.mission.interpolation import StateTable
 from simulator.mission.tabulated import Segment, Table, TabulatedTrajectory
 from simulator.mission.trajectory import BARYCENTRE
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["ChebyshevTable", "read_spk"]
-
-FloatArray = NDArray[np.float64]
 
 NAIF = {
     0: BARYCENTRE,

@@ -9,17 +9,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.ccsds import read_text
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import elapsed_s
 from simulator.parquet import read_parquet
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["Rows", "read_rows"]
-
-FloatArray = NDArray[np.float64]
 
 _TIMES = ("utc", "t_s")
 

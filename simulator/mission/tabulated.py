@@ -9,18 +9,15 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.clock import Clock
 from simulator.mission.frames import states_to_gcrs
 from simulator.mission.interpolation import StateTable
 from simulator.mission.tables import read_rows
 from simulator.mission.trajectory import GM_KM3_S2, centre_state, osculating_period_s, refuse_outside
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["Part", "Segment", "TabulatedTrajectory", "piecewise", "read_csv"]
-
-FloatArray = NDArray[np.float64]
 
 CSV_COLUMNS = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")
 _CSV_NODES = 4

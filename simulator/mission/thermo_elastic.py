@@ -13,14 +13,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.mission.parameters import ThermoElastic
+from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD
-
-__all__ = ["angle_from_noon_rad", "mounting_rotation_rad"]
-
-FloatArray = NDArray[np.float64]
 
 
 def angle_from_noon_rad(r_km: FloatArray, v_km_s: FloatArray, sun_direction: FloatArray) -> float:

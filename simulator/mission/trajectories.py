@@ -24,8 +24,6 @@ from simulator.mission.tabulated import read_csv
 from simulator.mission.trajectory import Trajectory
 from startracker.errors import InputError
 
-__all__ = ["build_trajectory"]
-
 _NUMERICAL_SPAN = (datetime(1899, 10, 1, tzinfo=UTC), datetime(2053, 8, 1, tzinfo=UTC))
 """Range of DE421 less two months, some steps of the integrator."""
 

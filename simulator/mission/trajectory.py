@@ -6,16 +6,13 @@ import math
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.constants import EARTH_GM_KM3_S2
 from simulator.mission.clock import Clock
+from startracker.arrays import FloatArray
 from startracker.ephemeris import DE421_NAME, barycentric, timescale
 from startracker.errors import InputError
-
-__all__ = ["BARYCENTRE", "GM_KM3_S2", "UNLIMITED", "States", "Trajectory", "from_earth", "geocentric", "refuse_outside"]
-
-FloatArray = NDArray[np.float64]
 
 BARYCENTRE = "Solar system barycentre"
 CENTRES = (*DE421_NAME, BARYCENTRE)

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_KM
 
-__all__ = ["Walker", "walker_tle"]
-
 _FIRST_NUMBER, _MOST = 90_001, 9_999
 
 

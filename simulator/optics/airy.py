@@ -6,12 +6,11 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import j0, j1
 
 from simulator.optics.pixel_response import transfer
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 FIRST_RING = 1.2196698912665045
 """Radius of the first dark ring in units of λN: the first zero of J₁, 3.8317, over π."""

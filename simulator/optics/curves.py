@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 
-FloatArray = NDArray[np.float64]
 CurveKind = Literal["transmission", "quantum_efficiency", "passband"]
 
 FLAT_RANGE_NM = (300.0, 1100.0)

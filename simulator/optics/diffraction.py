@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics import pupil
 from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.psf_table import pixel_matrix, sample_grid
 from simulator.optics.zernike import NOLL
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 
 def defocus_waves(shift_um: float, f_number: float, wavelength_nm: float) -> float:

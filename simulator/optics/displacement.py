@@ -29,14 +29,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.display import changed_fields
-
-__all__ = ["C_LINE_NM", "F_LINE_NM", "CalibrationResidual", "Displacement", "LateralColour", "draw_residual"]
-
-FloatArray = NDArray[np.float64]
 
 C_LINE_NM, F_LINE_NM = 656.27, 486.13
 """Fraunhofer lines between which lateral colour is stated, hydrogen α and β."""

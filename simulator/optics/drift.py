@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.smear import (
@@ -17,11 +17,8 @@ from simulator.optics.smear import (
     rotation_matrices,
     wander_length_px,
 )
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
-
-__all__ = ["Drift", "drifting_paths", "longest_drift_px"]
-
-FloatArray = NDArray[np.float64]
 
 _CHORDS = 32
 

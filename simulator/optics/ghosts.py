@@ -18,11 +18,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

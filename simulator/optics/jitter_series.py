@@ -7,17 +7,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics.jitter import Jitter, JitterPath, camera_axes
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
-
-__all__ = ["JitterMotion", "JitterSeries", "SampledJitter"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erf
 
 from simulator.optics.diffraction import Images
-
-__all__ = ["measured_centroid"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 CONTRAST = 50.0
 """Ratio of photon noise to background noise (variances) in the brightest pixel of the star that defines the position,

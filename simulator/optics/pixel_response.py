@@ -23,13 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.display import changed_fields
-
-__all__ = ["IntraPixel", "gaussian_shares", "transfer"]
-
-FloatArray = NDArray[np.float64]
 
 _NODES, _WEIGHTS = leggauss(24)
 _WIDE_STEP = 0.5

@@ -9,16 +9,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics import diffraction
 from simulator.optics.lens import Lens
 from simulator.optics.psf import Psf, aberrated, psf_of
 from simulator.optics.psf_model import FieldAberrations, PsfModel
+from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 WeightsOf = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 SPECTRA_MADE = (

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics.drift import Drift, longest_drift_px
 from simulator.optics.jitter_series import JitterMotion
@@ -37,13 +37,12 @@ from simulator.optics.smear import (
     rotation_matrices,
     wander_length_px,
 )
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
-
-FloatArray = NDArray[np.float64]
 
 _SETTLED_PX = 1e-9
 _MOST_STEPS = 30

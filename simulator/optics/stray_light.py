@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["Baffle", "build_baffle", "stray_light_e_s_pixel"]
-
-FloatArray = NDArray[np.float64]
 
 BEYOND_EXCLUSION_PST = 1e-9
 """Point-source transmittance of ``vane`` outside its exclusion angle: attenuations "on the order of 10⁹ for angles

@@ -17,13 +17,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
-
-__all__ = ["Tether", "TetherPoints", "cylinder_share", "tether_points"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,6 @@ from dataclasses import dataclass, replace
 
 from startracker.camera import Camera
 
-__all__ = ["LensTemperature", "true_camera"]
-
 
 @dataclass(frozen=True)
 class LensTemperature:

@@ -143,18 +143,18 @@ def check_value(key: Key, data: Any) -> tuple[Any, str]:
     accepted for floats, lists for tuples, and ISO 8601 text for dates.
     """
     base = _strip(key.annotation)[0]
-    given = data
-    hint = _hint(key.annotation, given)
+    given, undated = data, ""
     if base is datetime and isinstance(data, str):
         try:
             data = parse_utc(data)
         except ValueError as error:
-            hint = f": {error}" if str(error) else ""
+            undated = f": {error}" if str(error) else ""
     try:
         return _adapter(key)(tuple(data) if isinstance(data, list) else data), ""
     except ItemError as error:
         return None, f"must be {describe(key.annotation)}; {error}"
     except (ValueError, OverflowError):  # pydantic's error is a ValueError
+        hint = undated or _hint(key.annotation, given)
         return None, f"must be {describe(key.annotation)}, not {show_value(given)}{hint}"
 
 

@@ -20,6 +20,7 @@ ALWAYS_FILES = (
     "pointing.jitter.series",
     *(f"pointing.attitude.{key}" for key in (*ATTITUDE_FILES, "sclk")),
     "sky.satellites.file",
+    "sequence.recording",
 )
 """Keys that name a file, relative to the scenario file, or for ``--set`` to the working folder."""
 FILE_KEYS = (

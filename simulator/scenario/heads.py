@@ -14,8 +14,6 @@ from simulator.scenario.schema_heads import OVERRIDDEN, HeadSection
 if TYPE_CHECKING:
     from simulator.scenario.load import Scenario
 
-__all__ = ["contradictions", "head_values", "scenario_of_head", "values_of_heads"]
-
 
 def scenario_of_head(scenario: Scenario, head: HeadSection) -> Scenario:
     """The scenario of one head alone: its mounting and its values of lens, detector and tracker, and no heads."""

@@ -11,8 +11,6 @@ from simulator.scenario.fields import Key
 from simulator.units import UNITS, unit_suffix
 from startracker.interop import is_time, plain
 
-__all__ = ["as_written"]
-
 
 def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
     """A value as YAML would give it: in the key's unit, with lists in place of tuples and arrays.

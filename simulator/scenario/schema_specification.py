@@ -8,8 +8,6 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from simulator.scenario.schema_base import Positive, Section
 
-__all__ = ["DEFAULT_LIMITS_DEG", "SPECIFIED_AXES", "RequiredError", "SpecificationSection"]
-
 Axis = Literal["roll", "pitch", "yaw", "cross_x", "cross_y", "across", "about_boresight"]
 
 SPECIFIED_AXES: tuple[str, ...] = get_args(Axis)

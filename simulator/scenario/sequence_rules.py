@@ -36,6 +36,8 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     if fastest * step_s > LARGEST_STEP_DEG and (points or any(v["sequence.slew.turn_deg"])):
         message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° per step; use a shorter step"
         yield impossible("sequence.step_s", message)
+    if v["sequence.recording"] is not None and v["heads"]:
+        yield impossible("sequence.recording", "has the motion of one camera, and the scenario has heads; remove one")
     yield from _operation_contradictions(v)
     frames, start_s = v["sequence.frames"], v["sequence.start_s"]
     if frames > MOST_FRAMES:

@@ -10,20 +10,16 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.sky.light import aberrated, bend_by_sun
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.stars import StarCatalog
 from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, SPEED_OF_LIGHT_KM_S
 from startracker.observer import Observer
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
-
-__all__ = ["SkyIndex", "apparent_directions", "by_declination", "largest_shift_rad"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _AU_LIGHT_TIME_JYEAR = AU_KM / SPEED_OF_LIGHT_KM_S / (86_400.0 * DAYS_PER_JULIAN_YEAR)
 _SHIFT_RAD = 30.0 * ARCSEC_RAD

@@ -14,11 +14,12 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from simulator.sky.earth import earth_radiance_map
 from simulator.sky.star_counts import light_between_s10
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -26,19 +27,6 @@ from startracker.distortion import Distortion
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
-
-__all__ = [
-    "ECLIPTIC",
-    "GALACTIC",
-    "background_map",
-    "diffuse_sky_s10",
-    "sky_brightness_s10",
-    "star_contrast",
-    "starlight_s10",
-    "zodiacal_s10",
-]
-
-FloatArray = NDArray[np.float64]
 
 _OBLIQUITY_RAD = math.radians(84381.406 / 3600.0)
 ECLIPTIC = np.array(
@@ -58,6 +46,13 @@ GALACTIC = np.array(
     ]
 )
 """ICRS → galactic; ESA 1997, *The Hipparcos and Tycho Catalogues*, vol. 1, eq. 1.5.11."""
+
+
+def equator_of(to_frame: FloatArray, points: int = 721) -> FloatArray:
+    """Unit vectors (points, 3) along the equator of a frame, ICRS; rows of `to_frame` are its axes in ICRS."""
+    t = np.linspace(0.0, 2.0 * np.pi, points)[:, None]
+    return np.asarray(np.cos(t) * to_frame[0] + np.sin(t) * to_frame[1])
+
 
 POLE_S10 = 60.0
 """Zodiacal light at the ecliptic poles, ±3; Leinert et al. 1998, section 8.3."""

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from startracker.arrays import FloatArray
 from startracker.catalog.stars import StarCatalog
 from startracker.constants import MAS_RAD
 from startracker.display import changed_fields
 
-__all__ = ["CatalogueErrors", "with_errors"]
-
-FloatArray = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
 _DEVIATES = 4

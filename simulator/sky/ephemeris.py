@@ -5,16 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.ephemeris import barycentric, timescale
 
 if TYPE_CHECKING:
     from simulator.mission.clock import Clock
-
-__all__ = ["barycentric_position_au", "sky_time"]
-
-FloatArray = NDArray[np.float64]
 
 
 def sky_time(clock: Clock, t_s: float | FloatArray) -> Any:

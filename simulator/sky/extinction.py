@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 R_V = 3.1
 """A_V / E(B−V) of the diffuse interstellar medium; Cardelli, Clayton & Mathis 1989."""

@@ -13,18 +13,14 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.randomness import stream
 from simulator.sky.background import star_contrast
 from simulator.sky.star_counts import count_between, draw_magnitudes
+from startracker.arrays import FloatArray
 from startracker.attitude import radec_to_direction
 from startracker.constants import ARCSEC_RAD
-
-__all__ = ["FaintSky", "StarField"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _BAND_DEG = 4.0
 _CELL_REACH_RAD = math.radians(4.5)
@@ -67,19 +63,21 @@ class FaintSky:
         centre = np.asarray(direction, dtype=float)
         cosine = self._centres @ centre
         cells = np.flatnonzero(cosine >= math.cos(min(radius_rad + _CELL_REACH_RAD, math.pi)))
-        fields = [self.cell(int(number)) for number in cells]
-        found, v_mag = (np.concatenate(column) for column in zip(*fields, strict=True))
+        ra_rad, z, share = np.concatenate([self.cell(number) for number in cells.tolist()], axis=1)
+        across = np.sqrt(1.0 - z * z)
+        found = np.column_stack([across * np.cos(ra_rad), across * np.sin(ra_rad), z])
         rows = np.flatnonzero(found @ centre >= math.cos(min(radius_rad + shift_rad, math.pi)))
-        return StarField(found[rows], v_mag[rows])
+        return StarField(found[rows], draw_magnitudes(share[rows], self.brightest, self.faintest))
 
-    def _drawn(self, number: int) -> StarField:
-        """Stars of one cell."""
+    def _drawn(self, number: int) -> FloatArray:
+        """Right ascension, sine of the declination, and share of the counts by magnitude (3, N) of a cell's stars."""
         rng = stream(self.seed, "faint stars", number)
         count = int(rng.poisson(self._mean_count[number]))
-        share = rng.random((3, count))
+        stars = rng.random((3, count))
         west, east, south, north = self._edges[number].tolist()
-        direction = radec_to_direction(west + share[0] * (east - west), np.arcsin(south + share[1] * (north - south)))
-        return StarField(direction, draw_magnitudes(share[2], self.brightest, self.faintest))
+        stars[0] = west + stars[0] * (east - west)
+        stars[1] = south + stars[1] * (north - south)
+        return stars
 
 
 @functools.cache

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.constants import SPEED_OF_LIGHT_KM_S
-
-__all__ = ["aberrated", "bend_by_sun"]
-
-FloatArray = NDArray[np.float64]
 
 
 def bend_by_sun(directions: FloatArray, from_sun_au: FloatArray) -> FloatArray:

@@ -13,11 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-__all__ = ["PLANETS", "SATURN_POLE", "URANUS_AXES_SQUARED", "URANUS_POLE", "moon_v", "planet_v", "sun_v"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 PLANETS = ("Mercury", "Venus", "Earth", "Mars", "Jupiter", "Saturn", "Uranus", "Neptune")
 

@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.sky.ephemeris import sky_time
+from startracker.arrays import FloatArray
 from startracker.constants import AU_KM
 from startracker.ephemeris import barycentric, de421
 from startracker.observer import Observer
 
 if TYPE_CHECKING:
     from simulator.mission.clock import Clock
-
-__all__ = ["barycentric_state", "is_sunlit", "observe"]
-
-FloatArray = NDArray[np.float64]
 
 
 def barycentric_state(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, field
 
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from simulator.optics.curves import Curve
 from simulator.sky.albedo import body_photons
 from simulator.sky.colours import population_giant_share
-from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA
+from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA, Spectrum
 from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.registry import lookup
@@ -26,25 +27,6 @@ _LATE_B_V = 1.6  # for families of spectra that depend on B−V only
 _SPECTRA_AT_ONCE = 128
 _GRID_STEP_NM = 1.0
 _SQUARE_DEGREE_SR = math.radians(1.0) ** 2
-
-
-def integrate(photons: Curve, response: Curve) -> float:
-    """Electrons from the photons of a spectrum, ∫ n_λ η_λ dλ.
-
-    Parameters
-    ----------
-    photons : Curve
-        Photon flux density, photons cm⁻² s⁻¹ nm⁻¹.
-    response : Curve
-        Electrons per photon: transmission × quantum efficiency.
-
-    Returns
-    -------
-    float
-        Electrons cm⁻² s⁻¹.
-    """
-    product = photons * response
-    return float(np.trapezoid(product.value, product.wavelength_nm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +68,9 @@ class Photometer:
         lookup("spectra", SPECTRA, self.spectrum)
         wavelength_nm, efficiency = _sampled(self.response)
         moments = np.stack([efficiency, efficiency * wavelength_nm], axis=1)
-        both = self._integrals(wavelength_nm, moments)
+        half = np.diff(wavelength_nm, prepend=wavelength_nm[0]) / 2  # trapezoids
+        weight = half + np.append(half[1:], 0.0)
+        both = self._integrals(wavelength_nm, moments * weight[:, None])
         for name, value in (
             ("_wavelength_nm", wavelength_nm),
             ("_efficiency", efficiency),
@@ -179,9 +163,7 @@ class Photometer:
             weight = np.zeros((len(wavelength_nm), len(edges) - 1))
             weight[:-1] += member * steps[:, None] / 2
             weight[1:] += member * steps[:, None] / 2
-            self._bins[key] = self._integrals(
-                wavelength_nm, weight * self.response(wavelength_nm)[:, None], weighted=True
-            )
+            self._bins[key] = self._integrals(wavelength_nm, weight * self.response(wavelength_nm)[:, None])
         binned = np.atleast_2d(_looked_up(self._bins[key], b_v, giant))
         return np.asarray(binned / binned.sum(axis=1, keepdims=True))
 
@@ -198,26 +180,31 @@ class Photometer:
         stars = s10 * solid_angle_sr / _SQUARE_DEGREE_SR
         return float(stars * self.electrons_per_s(10.0, SOLAR_B_V, 0.0))
 
-    def _integrals(self, wavelength_nm: FloatArray, kernels: FloatArray, *, weighted: bool = False) -> _Tables:
-        """∫ n_λ k dλ of dwarfs and giants along B−V and of late giants along their subtype; kernels (W, K)."""
-        if not weighted:
-            half = np.diff(wavelength_nm) / 2
-            weight = np.zeros(len(wavelength_nm))
-            weight[:-1] += half
-            weight[1:] += half
-            kernels = kernels * weight[:, None]
+    def _integrals(self, wavelength_nm: FloatArray, kernels: FloatArray) -> _Tables:
+        """∫ n_λ k dλ of the family of spectra; kernels (W, K) with the weights of the integration."""
         spectrum = lookup("spectra", SPECTRA, self.spectrum)
+        return _spectral_integrals(spectrum, wavelength_nm.tobytes(), kernels.tobytes())
 
-        def along(b_v: FloatArray, giant: FloatArray) -> FloatArray:
-            # a few spectra at a time, as all at once take several times tens of megabytes
-            parts = [slice(k, k + _SPECTRA_AT_ONCE) for k in range(0, len(b_v), _SPECTRA_AT_ONCE)]
-            return np.concatenate([spectrum(wavelength_nm, b_v[part], giant[part]) @ kernels for part in parts])
 
-        return (
-            along(_B_V_GRID, np.zeros(len(_B_V_GRID))),
-            along(_B_V_GRID, np.ones(len(_B_V_GRID))),
-            along(np.full(len(_LATE_GRID), _LATE_B_V), _LATE_GRID),
-        )
+@functools.lru_cache(maxsize=32)
+def _spectral_integrals(spectrum: Spectrum, wavelength_nm: bytes, kernels: bytes) -> _Tables:
+    """∫ n_λ k dλ of dwarfs and giants along B−V and of late giants along their subtype, each (M, K).
+
+    Cached, as the cameras of a sweep share their response: it takes a tenth of a second.
+    """
+    nm = np.frombuffer(wavelength_nm)
+    weighted = np.frombuffer(kernels).reshape(len(nm), -1)
+
+    def along(b_v: FloatArray, giant: FloatArray) -> FloatArray:
+        # a few spectra at a time, as all at once take several times tens of megabytes
+        parts = [slice(k, k + _SPECTRA_AT_ONCE) for k in range(0, len(b_v), _SPECTRA_AT_ONCE)]
+        return np.concatenate([spectrum(nm, b_v[part], giant[part]) @ weighted for part in parts])
+
+    return (
+        along(_B_V_GRID, np.zeros(len(_B_V_GRID))),
+        along(_B_V_GRID, np.ones(len(_B_V_GRID))),
+        along(np.full(len(_LATE_GRID), _LATE_B_V), _LATE_GRID),
+    )
 
 
 def _looked_up(tables: _Tables, b_v: ArrayLike, giant: ArrayLike | None) -> FloatArray:

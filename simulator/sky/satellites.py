@@ -33,23 +33,10 @@ from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import SatelliteParameters, Sky
 from simulator.sky.solar_system import RADIUS_KM
+from startracker.arrays import FloatArray, IntArray
 from startracker.constants import AU_KM, SPEED_OF_LIGHT_KM_S
 from startracker.display import fields_repr
 from startracker.errors import InputError
-
-__all__ = [
-    "Look",
-    "SatelliteList",
-    "Satellites",
-    "behind_earth",
-    "diffuse_phase",
-    "load_satellites",
-    "standard_magnitude",
-    "sunlit_share",
-]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 STANDARD_KM = 1000.0
 """Distance of the standard magnitude; its phase angle is 90°."""

@@ -13,6 +13,7 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.sky.ephemeris import barycentric_position_au, sky_time
 from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import moon_v, planet_v, sun_v
+from startracker.arrays import FloatArray
 from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.ephemeris import astrometric_au, barycentric
@@ -22,10 +23,6 @@ from startracker.observer import Observer
 if TYPE_CHECKING:
     from simulator.mission.clock import Clock
     from simulator.sky.parameters import Sky
-
-__all__ = ["B_V", "RADIUS_KM", "Bodies", "bodies_seen_from", "solar_system", "sun_position_au"]
-
-FloatArray = NDArray[np.float64]
 
 RADIUS_KM = {
     "Mercury": 2440.53,

@@ -6,15 +6,15 @@ import functools
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.constants import BOLTZMANN_J_K
 from simulator.optics.curves import load_curve
 from simulator.sky.extinction import relative_extinction
 from simulator.sky.library import HC_J_NM, Sequence, sequence
 from simulator.sky.monotone import MonotoneCubic
+from startracker.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Spectrum = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 V0_PHOTONS_S_CM2_NM = 9955.0

@@ -11,11 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["FAINTEST_V", "count_between", "draw_magnitudes", "light_between_s10"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _V = np.arange(4.0, 17.0)
 _COUNT = (558, 1744, 5326, 16503, 48559, 139375, 382925, 1048084, 2955951, 7346735, 17214116, 39387795, 88896114)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.build import build_orbit
 from simulator.constants import EARTH_RADIUS_KM
@@ -13,11 +12,8 @@ from simulator.mission.clock import Clock
 from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
 from simulator.sky.ephemeris import barycentric_position_au
+from startracker.arrays import FloatArray
 from startracker.constants import AU_KM
-
-__all__ = ["angle_from_deg", "body_angles_deg"]
-
-FloatArray = NDArray[np.float64]
 
 
 def body_angles_deg(

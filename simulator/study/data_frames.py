@@ -11,8 +11,6 @@ import pyarrow as pa
 from simulator.units import UNITS, unit_suffix
 from startracker.errors import InputError
 
-__all__ = ["Rows"]
-
 
 class Rows(ABC):
     """A result with one row per trial or frame, which becomes a table of pandas or astropy."""

@@ -10,8 +10,6 @@ from typing import Any
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement
 from simulator.study.style import Panel, inline_svg, style_variables
 
-__all__ = ["TONES", "Table", "drawn", "provenance", "render_page", "verdict_table"]
-
 _FOLDER = Path(__file__).parent
 
 TONES = {MET: "good", NOT_MET: "bad", UNDECIDED: "open"}

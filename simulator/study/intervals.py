@@ -9,13 +9,13 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.fft import irfft, rfft
 from scipy.special import bdtr, gammaincinv, ndtr, ndtri  # scipy.stats takes 17 MB and 0.2 s to load
 
 from simulator.randomness import stream
+from startracker.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 RESAMPLES = 1000

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from simulator.frame import Frame, FrameTruth
     from startracker.solution import Solution
 
-__all__ = ["Shades", "draw_solution", "frame_picture", "frame_preview", "shades_of", "solved_image"]
-
 _DETECTED, _IDENTIFIED, _NAME = "#F0A830", "#56B4E9", "#f5f7fa"
 _GREYS = 64
 _LABEL_POINTS = 6.5

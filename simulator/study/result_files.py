@@ -1,4 +1,4 @@
-"""Result files: tables and values as bytes, written atomically."""
+"""Result files: tables, values and pictures as bytes, written atomically."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import json
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from simulator.paths import write_atomically
+from simulator.paths import make_folder, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from simulator.study.results_folder import Identity
 
 
 def now_utc() -> str:
@@ -36,3 +41,24 @@ def write_files(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write files by name; `InputError` if one cannot be written."""
     for name, data in files.items():
         write_atomically(folder / name, data)
+
+
+def write_study(
+    folder: Path,
+    kind: str,
+    values: Mapping[str, Any],
+    identity: Identity | None,
+    figures: Mapping[str, Figure],
+    table: pa.Table | None = None,
+) -> tuple[str, ...]:
+    """Write ``KIND.json`` with the identity, ``KIND.parquet`` if there is a table, and every figure as PNG; returns the
+    names of the files."""
+    from startracker.picture import figure_bytes
+
+    stated = {"identity": identity.to_dict() if identity else None}
+    files: dict[str, str | bytes] = {f"{kind}.json": json_text({**values, **stated})}
+    if table is not None:
+        files[f"{kind}.parquet"] = parquet_bytes(table, compression="zstd")
+    files |= {f"{name}.png": figure_bytes(figure, dpi=130) for name, figure in figures.items()}
+    write_files(make_folder(folder), dict(reversed(files.items())))  # last the values, which identify the results
+    return tuple(files)

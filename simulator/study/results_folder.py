@@ -141,6 +141,38 @@ def results_folder(path: Path, new: Identity, *, resume: bool = False, force: bo
         yield folder
 
 
+@contextlib.contextmanager
+def study_folder(
+    kind: str,
+    scenario: Scenario,
+    out: Path | None,
+    force: bool,
+    amounts: Mapping[str, int] | None = None,
+    **options: Any,
+) -> Iterator[tuple[Path, Identity]]:
+    """`results_folder` of a study of a scenario, ``out/NAME-KIND`` by default, with the identity of its results.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of results, a key of `FILES`.
+    scenario : Scenario
+        The scenario.
+    out : Path, optional
+        The folder.
+    force : bool
+        Replace any existing results.
+    amounts : mapping, optional
+        As in `Identity`.
+    **options
+        What changes the results besides the scenario.
+    """
+    sha256 = scenario_sha256(scenario, **options)
+    identity = Identity(kind, scenario.name, scenario.seed, sha256, amounts or {})
+    with results_folder(out or Path("out") / f"{scenario.name}-{kind}", identity, force=force) as folder:
+        yield folder, identity
+
+
 def standing(folder: Path, kind: str) -> Identity | None:
     """Identity of the results of a kind in a folder; None if there are none.
 

@@ -21,6 +21,7 @@ from simulator.study.intervals import (
 )
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import Judgement
+from startracker.arrays import FloatArray
 
 BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
@@ -48,7 +49,6 @@ MOST_OUTLIERS_LISTED = 200
 _MAD_TO_SIGMA = 1.482602218505602
 
 Columns = Mapping[str, NDArray[Any]]
-FloatArray = NDArray[np.float64]
 
 
 def axis_statistics(errors_deg: FloatArray) -> dict[str, float | None]:
@@ -99,7 +99,7 @@ def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: A
         Error squared, normalised by the stated covariance; NaN without one.
     error_deg, bound_deg : array_like, shape (3,)
         Error about the camera's axes, and the Cramér–Rao bound of the noise together with what displaced star images
-        explain (`simulator.study.trials.systematic`). For an axis without a bound (NaN) no error is explained.
+        explain (`simulator.study.trials.trial`). For an axis without a bound (NaN) no error is explained.
     """
     if misidentified > 0:
         return True

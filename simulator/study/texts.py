@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["deg_text", "percent_text"]
-
 
 def deg_text(value_deg: float | None) -> str:
     """Angle for display, in degrees, and in arcseconds for small values."""

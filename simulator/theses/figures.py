@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "figures", "section_of"]
-
 _COLOURS = {name: getattr(style, name) for name in ("INK", "SOFT", "BLUE", "ORANGE", "GREEN", "VERMILION")}
 
 

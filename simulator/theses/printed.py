@@ -26,20 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-__all__ = [
-    "MARKS",
-    "NOTHING",
-    "PrintedStudy",
-    "Row",
-    "Section",
-    "Verdict",
-    "compare",
-    "new_figure",
-    "run_sections",
-    "verdict_of",
-    "with_unit",
-]
-
 Verdict = Literal["exact", "close", "differs", "not printed", "input missing", "open"]
 
 MARKS: dict[Verdict, str] = {

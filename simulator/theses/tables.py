@@ -25,16 +25,9 @@ from importlib.resources import files
 from string import Formatter
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from simulator.theses.printed import Row, Verdict, compare, verdict_of, with_unit
 
-__all__ = ["FloatArray", "IntArray", "Values", "exact_when_cut", "read_yaml", "table_rows", "value_of", "worst"]
-
 Values = dict[str, Any]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ORDER: tuple[Verdict, ...] = ("exact", "close", "differs")
 _CUT_OFF = "printed digits truncated, not rounded"

@@ -11,8 +11,6 @@ from startracker._version import __version__
 from startracker.calibration.result import Calibration
 from startracker.constants import ARCSEC_RAD
 
-__all__ = ["camera_yaml", "rounded", "summary"]
-
 
 def rounded(value: float, sigma: float) -> str:
     """Value and standard error with two digits of the error: ``5114.03 ± 0.27``; ``held`` without an error."""

@@ -15,13 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.calibration.field import StarField
 from startracker.camera import Camera
 from startracker.lens_fit import Matches, fit_jointly, rescaled
-
-__all__ = ["FocalLengths", "agreeing", "focal_lengths", "repeated"]
-
-FloatArray = NDArray[np.float64]
 
 _SIGMAS = 5.0
 _TOLERANCE = 6e-4

@@ -6,19 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
 from startracker.display import described
 from startracker.identification.verification import nearest_unique
 from startracker.observer import Observer, aberrate
-
-__all__ = ["SkyPart", "StarField", "pair_up", "sky_part"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _RESOLVED_PX = 2.0
 _MOTION_RAD = math.radians(0.1)

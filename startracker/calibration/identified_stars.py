@@ -6,17 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.lens_fit import Matches
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
-
-__all__ = ["IdentifiedStars"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_filter import LensFilter, LensUpdate
@@ -19,10 +20,6 @@ from startracker.detection.defect_map import DefectMap
 from startracker.display import described
 from startracker.given_image import GivenImage
 from startracker.settings import CentroidSettings, InFlightSettings
-
-__all__ = ["InFlightCalibration"]
-
-FloatArray = NDArray[np.float64]
 
 
 class InFlightCalibration:

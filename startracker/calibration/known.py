@@ -6,19 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.blind import solve_unknown_fov
 from startracker.calibration.field import SkyPart, StarField, sky_part
 from startracker.camera import Camera
 from startracker.catalog.stars import StarCatalog
 from startracker.distortion import Distortion
 from startracker.lens_fit import Matches
-
-__all__ = ["KnownField", "identify_all", "starting_camera"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _STATED_PX = 0.1
 """Error of centroids given without one; only its uniformity matters."""

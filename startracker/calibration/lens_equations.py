@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.camera import Camera
 from startracker.lens import by_turn, sensitivity
 from startracker.lens_fit import Matches
-
-__all__ = ["LensEquations", "lens_equations"]
-
-FloatArray = NDArray[np.float64]
 
 _ATTITUDE_STEPS = 3
 _RATE_SIGMA_RAD_S = 0.2

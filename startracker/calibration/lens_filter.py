@@ -23,9 +23,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_equations import LensEquations, lens_equations
 from startracker.calibration.star_memory import StarMemory
@@ -34,12 +34,6 @@ from startracker.display import described, fields_repr
 from startracker.errors import InputError
 from startracker.lens import PARAMETERS, change_lens, corner_radius, is_one_to_one, value_of
 from startracker.settings import InFlightSettings
-
-__all__ = ["LensFilter", "LensUpdate", "drifts", "initial_sigmas"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _FEWEST_STARS = 4
 _REJECT_SIGMAS = 3.7

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from startracker.calibration.result import Calibration
 from startracker.constants import ARCSEC_RAD
@@ -18,10 +17,6 @@ from startracker.picture import figure_bytes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-__all__ = ["residual_figure", "residual_picture"]
-
-FloatArray = NDArray[np.float64]
 
 _BLUE, _ORANGE, _GREY = "#0072B2", "#E69F00", "#777777"
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

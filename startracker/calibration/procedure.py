@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.calibration.consensus import agreeing, focal_lengths, repeated
 from startracker.calibration.field import StarField, pair_up
@@ -30,11 +30,6 @@ from startracker.errors import InputError
 from startracker.identification.association import REJECT_SIGMAS
 from startracker.lens import PARAMETERS, only, plain
 from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled, significant, stretch
-
-__all__ = ["calibrate"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.centroid.frame import prepare
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_shape import Shape, fit_gaussians
@@ -15,10 +16,6 @@ from startracker.detection.background import Background
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
-
-__all__ = ["WidthFilter", "star_widths"]
-
-FloatArray = NDArray[np.float64]
 
 _STARS = 9
 _FEWEST = 3

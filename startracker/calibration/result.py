@@ -9,15 +9,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
 from startracker.display import described
 from startracker.lens import prior_of
-
-__all__ = ["CalibratedField", "Calibration"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,8 @@ estimate is larger by s² Σ_j S_j S_jᵀ.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["StarMemory"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from startracker.arrays import BoolArray, FloatArray, IntArray
 
 _FADING = 0.99
 """Weight of earlier residuals of a star at each new one."""

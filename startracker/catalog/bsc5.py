@@ -15,8 +15,6 @@ from startracker.catalog.fixed_width import FixedWidth
 from startracker.catalog.stars import StarCatalog
 from startracker.constants import ARCSEC_RAD
 
-__all__ = ["EPOCH_JYEAR", "load_bsc5", "parse_bsc5"]
-
 EPOCH_JYEAR = 2000.0
 """Epoch and equinox of the positions; FK5, which agrees with ICRS to 0.1″, below the rounding of the file."""
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from startracker.catalog.stars import StarCatalog, read_only
 
-__all__ = ["folder", "load", "load_arrays", "store", "store_arrays"]
-
 _UNUSABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 

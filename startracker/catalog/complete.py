@@ -13,13 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.stars import StarCatalog
 from startracker.constants import ARCSEC_RAD
-
-__all__ = ["complete", "match"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _SEARCH_ARCSEC = 25.0
 """The Bright Star Catalogue is wrong by up to 15″ for stars of high proper motion (61 Cygni)."""

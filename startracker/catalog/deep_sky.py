@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from startracker.catalog.names import data_lines
 
-__all__ = ["KINDS", "DeepSkyObject", "deep_sky_directions", "deep_sky_objects"]
-
 KINDS = {
     "Gx": "galaxy",
     "OC": "open cluster",

@@ -13,8 +13,6 @@ from startracker.attitude import direction_to_radec
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 
-__all__ = ["merge_doubles"]
-
 
 def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
     """The catalogue with every group of stars closer than `separation_rad` replaced by one star at their photocentre.

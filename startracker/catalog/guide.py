@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.doubles import merge_doubles
@@ -26,9 +27,6 @@ from startracker.display import described
 from startracker.errors import InputError
 from startracker.observer import Observer
 from startracker.settings import IdentificationSettings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 RESOLVED_PX = 2.0
 """Two stars closer than this are not resolved (Greyling 1995, eq. 5.1)."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.catalog import cache
 from startracker.catalog.bsc5 import load_bsc5
 from startracker.catalog.complete import complete
@@ -18,10 +18,6 @@ from startracker.catalog.fixed_width import FixedWidth
 from startracker.catalog.stars import StarCatalog, mas
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
-
-__all__ = ["EPOCH_JYEAR", "johnson_v", "load_hipparcos", "parse_hip2"]
-
-FloatArray = NDArray[np.float64]
 
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from startracker.catalog.stars import StarCatalog
 
-__all__ = ["constellation_lines", "data_lines", "designation", "designation_rows", "proper_name", "proper_names"]
-
 _LETTERS = (
     "Alp=α Bet=β Gam=γ Del=δ Eps=ε Zet=ζ Eta=η The=θ Iot=ι Kap=κ Lam=λ Mu=μ Nu=ν Xi=ξ Omi=ο Pi=π Rho=ρ Sig=σ Tau=τ "
     "Ups=υ Phi=φ Chi=χ Psi=ψ Ome=ω"

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from startracker.arrays import FloatArray
 from startracker.catalog.field_shape import FieldShape
 from startracker.catalog.voxels import VoxelGrid
-
-__all__ = ["SkyView"]
-
-FloatArray = NDArray[np.float64]
 
 
 class SkyView(NamedTuple):

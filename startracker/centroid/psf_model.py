@@ -80,11 +80,6 @@ class PsfModel:
         """What kernels interpolate."""
         return Samples(_NO_AXES if len(self.axes) else self.table, self.axes, self.oversampling)
 
-    @cached_property
-    def noise_area_px(self) -> float:
-        """Noise-equivalent area 1 / ∬ p² (King 1983), pixels."""
-        return float(self.oversampling**2 / np.sum(self.table**2))
-
     @property
     def sigma_px(self) -> float:
         """Width of the image along its longer axis."""

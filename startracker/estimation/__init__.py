@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
+from startracker.arrays import FloatArray
 from startracker.estimation.plate import Plate, plate_constants, solve_plate
 from startracker.estimation.result import Estimate
 from startracker.estimation.star_pair import pitch_error_deg, star_pair
@@ -31,7 +29,6 @@ __all__ = [
     "wahba_svd",
 ]
 
-FloatArray = NDArray[np.float64]
 Estimator: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], Estimate]
 """Signature of an estimator: observed (M, 3), reference (M, 3), sigma_rad (M,)."""
 

@@ -18,19 +18,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = [
-    "AMPLITUDE_SIGMA",
-    "AS_ASSUMED",
-    "NO_IMAGE_ERRORS",
-    "ImageErrors",
-    "error_columns",
-    "probability_as_assumed",
-    "shared_shift",
-]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 AS_ASSUMED = 0.5
 """Prior probability that star images are as assumed, without systematic error."""

@@ -11,16 +11,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import normalised
-
-__all__ = ["Plate", "first_center_deg", "plate_constants", "solve_plate"]
-
-FloatArray = NDArray[np.float64]
 
 _TOO_WIDE = "plate constants need directions within 78° of their mean; use another estimator"
 _NO_PLATE = "the reference directions do not match the observed ones: check the identification"

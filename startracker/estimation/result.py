@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.estimation.rotations import normalised
-
-__all__ = ["Estimate", "check_directions"]
-
-FloatArray = NDArray[np.float64]
 
 _DISTINCT_RAD = 1e-9
 """Minimum angle (0.2 mas) from the axis of the first direction; closer ones do not determine the rotation about it in

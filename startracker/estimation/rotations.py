@@ -7,13 +7,9 @@ information on the rotation about a, Σ w sin², would be lost by rounding of Σ
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.linalg import inverse, turned
-
-__all__ = ["common_frame", "covariance_of", "most_telling_pair", "normalised", "polish"]
-
-FloatArray = NDArray[np.float64]
 
 _STEPS = 12
 _LARGEST_STEP = 0.3  # rad; limit of Newton's quadratic model of the cost

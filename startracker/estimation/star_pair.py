@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.estimation.result import Estimate, check_directions
-
-__all__ = ["pitch_error_deg", "star_pair"]
-
-FloatArray = NDArray[np.float64]
 
 
 def pitch_error_deg(dx_deg: ArrayLike, dy_deg: ArrayLike, accuracy_deg: ArrayLike) -> FloatArray:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from startracker.estimation.directions import pair_frame, pair_rotation
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import most_telling_pair
-
-__all__ = ["triad"]
-
-FloatArray = NDArray[np.float64]
 
 
 def triad(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -> Estimate:

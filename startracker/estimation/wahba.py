@@ -13,15 +13,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.estimation.directions import pair_rotation
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import common_frame, covariance_of, most_telling_pair, polish
-
-__all__ = ["attitude_covariance", "davenport", "esoq2", "quest", "wahba_svd"]
-
-FloatArray = NDArray[np.float64]
 
 _LOST_RAD2 = 1e-10
 """Mean square angle from the common axis, rad², below which B does not determine the rotation about it."""

@@ -22,8 +22,6 @@ from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Intege
 from startracker.fixed_point.square_root import square_root
 from startracker.fixed_point.vectors import DIRECTION, cross, normalize
 
-__all__ = ["MAX_STARS", "IntegerAttitude", "NotSolved", "matrix_angles", "plate_attitude", "unit"]
-
 MAX_STARS = 16
 """Sums of products would overflow for more."""
 _ROUNDS = 40

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from startracker.identification.triad_search import TriadLimits
     from startracker.identification.triad_tables import TriadTables
 
-__all__ = ["MODULES", "CExport", "export_c"]
-
 MODULES = ("integers", "attitude", "verification", "triads")
 """Modules of the solver that do not depend on the camera: ``<prefix>_<module>.c``."""
 _SOURCES = ("tracker.h", "tracker_internal.h", *(f"tracker_{module}.c" for module in MODULES), "main.c")

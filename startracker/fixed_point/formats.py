@@ -16,19 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import BoresightError
 
-__all__ = [
-    "ANGLE",
-    "CENTROID",
-    "COSINE",
-    "SEPARATION",
-    "FixedPointOverflow",
-    "Format",
-    "Integers",
-    "check_product",
-    "divide",
-    "integers",
-]
-
 Integers: TypeAlias = NDArray[np.int64]
 
 
@@ -181,11 +168,6 @@ class Format:
         """a − b, both of this format."""
         return self.check(integers(a) - integers(b), "subtraction")
 
-    def multiply_integer(self, a: ArrayLike, n: ArrayLike) -> Integers:
-        """A number of this format times an integer."""
-        check_product(a, n, "multiplication by an integer")
-        return self.check(integers(a) * integers(n), "multiplication by an integer")
-
     def multiply(self, a: ArrayLike, b: ArrayLike, b_fraction_bits: int | None = None) -> Integers:
         """a × b: the product with 2N fraction bits is shifted right by N, which rounds down.
 
@@ -197,10 +179,6 @@ class Format:
         check_product(a, b, "multiplication")
         shift = self.fraction_bits if b_fraction_bits is None else b_fraction_bits
         return self.check((integers(a) * integers(b)) >> shift, "multiplication")
-
-    def divide_integer(self, a: ArrayLike, n: ArrayLike) -> Integers:
-        """A number of this format divided by an integer, truncated towards zero."""
-        return self.check(divide(a, n), "division by an integer")
 
     def divide(self, a: ArrayLike, b: ArrayLike) -> Integers:
         """a ÷ b: the dividend is shifted left by N first; truncated towards zero."""

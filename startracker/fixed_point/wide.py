@@ -19,8 +19,6 @@ from startracker.fixed_point.formats import Format, Integers, check_product, div
 from startracker.fixed_point.square_root import square_root
 from startracker.fixed_point.vectors import DIRECTION
 
-__all__ = ["WIDE_CENTROID", "WideArithmetic", "WideImage", "WideSky"]
-
 WIDE_CENTROID = Format(22, 22)
 """Pixels, of a detector of any size."""
 _SCALE = Format(4, 38)

@@ -26,14 +26,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.errors import InputError
 from startracker.tracking.kinematics import correct, turn_quaternion
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise, chi_square_limit, rotation_between
-
-__all__ = ["AlignedMekf", "Head"]
-
-FloatArray = NDArray[np.float64]
 
 _BODY = 9
 """States of the body: attitude, bias or rate, and scale factors; those of the heads follow."""

@@ -15,16 +15,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.fusion.alignments import AlignedMekf, Head
 from startracker.tracking.mekf import GyroNoise, Innovation, RateNoise
-
-__all__ = ["FusionFilter", "Measurement", "Update"]
-
-FloatArray = NDArray[np.float64]
 
 _MOST_REJECTED = 3
 """Number of successive attitudes beyond the gate, of any heads, after which the filter and not the heads is wrong."""

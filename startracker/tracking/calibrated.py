@@ -6,9 +6,9 @@ import copy
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.in_flight import InFlightCalibration
 from startracker.given_image import GivenImage, given_image
@@ -18,10 +18,6 @@ from startracker.solution import Solution
 from startracker.tracker import StarTracker
 from startracker.tracking.mekf import GyroNoise, RateNoise
 from startracker.tracking.session import TrackingSession
-
-__all__ = ["CalibratedSession"]
-
-FloatArray = NDArray[np.float64]
 
 
 class CalibratedSession(TrackingSession):

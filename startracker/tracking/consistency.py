@@ -13,8 +13,6 @@ from collections import deque
 
 from startracker.tracking.mekf import Innovation, chi_square_limit
 
-__all__ = ["InnovationWindow"]
-
 _Sums = tuple[float, float, float, float, float, float]
 """Sums of squares, of degrees of freedom, of frames with a whitened innovation, and of its three components."""
 _NOTHING: _Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.identification.acceptance import log_chance, power_of_ten
 from startracker.solution import MatchedStars, Solution, Status
@@ -15,11 +16,6 @@ from startracker.tracker import StarTracker
 from startracker.tracking.looking import Expected, Seen
 from startracker.tracking.matching import track
 from startracker.tracking.mekf import Innovation, Mekf
-
-__all__ = ["Followed", "follow"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LEAST_WORTH = math.log(100.0)
 """Minimum evidence for a filter update with stars that are too few for an attitude."""

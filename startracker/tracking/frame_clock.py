@@ -6,8 +6,6 @@ import math
 
 from startracker.errors import InputError
 
-__all__ = ["FrameClock"]
-
 
 class FrameClock:
     """Time of the last frame used, and checks of the next."""

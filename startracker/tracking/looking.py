@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import beside_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
@@ -20,11 +21,6 @@ from startracker.observer import Observer
 from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
-
-__all__ = ["Expected", "Seen", "Sky", "as_pixels", "centroids_seen", "look", "streak_px", "window_half"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _WINDOW_SIGMAS = 4.3
 _SKIRT_PX = 5

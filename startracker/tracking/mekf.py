@@ -16,17 +16,14 @@ from functools import lru_cache
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
-
-__all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "chi_square_limit", "rotation_between"]
-
-FloatArray = NDArray[np.float64]
 
 _LINEAR_RAD = 3e-4
 """Maximum correction, rad, with a linearisation error of 0.01″; larger ones are iterated."""

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation, label
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
@@ -33,9 +34,6 @@ from startracker.errors import InputError
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
 
-__all__ = ["SensorOperation", "Verdict", "image_magnitudes", "saturated_near"]
-
-FloatArray = NDArray[np.float64]
 BoolImage = NDArray[np.bool_]
 
 _EIGHT = np.ones((3, 3), dtype=np.int8)

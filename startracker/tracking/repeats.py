@@ -12,10 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FrameMemory", "list_key"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from startracker.arrays import FloatArray, IntArray
 
 _FRAMES = 8
 """Number of frames remembered: more than the buffers of a camera driver."""

@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["Scatter"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _MEMORY = 200.0
 """Approximate number of residuals remembered (half as many stars), which determine the scale to 5 %."""

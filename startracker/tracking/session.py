@@ -15,6 +15,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.display import described
 from startracker.errors import InputError
@@ -35,10 +36,6 @@ from startracker.tracking.repeats import FrameMemory, list_key
 from startracker.tracking.scatter import Scatter
 from startracker.tracking.state import TrackingState
 from startracker.tracking.watched import WatchedFilter
-
-__all__ = ["TrackingSession"]
-
-FloatArray = NDArray[np.float64]
 
 _FEW_STARS = 6
 

@@ -5,15 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from startracker.arrays import FloatArray
 from startracker.display import described
 from startracker.tracking.mekf import Innovation
-
-__all__ = ["TrackingState"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.errors import InputError
@@ -17,10 +18,6 @@ from startracker.tracking.consistency import InnovationWindow
 from startracker.tracking.following import Followed, follow
 from startracker.tracking.looking import Expected, Seen
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
-
-__all__ = ["WatchedFilter"]
-
-FloatArray = NDArray[np.float64]
 
 _LEAST_STEP_S = 1e-3
 _PRIOR_SIGMAS = 5.0

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.centroid.psf_fit import MISFIT_SIGMA, SYSTEMATIC_PX
 from startracker.centroid.result import Centroids, misfit_of_brightest
@@ -22,9 +23,6 @@ from startracker.trails.model import ANGLE, FLUX, HALF, SIGMA, residual_of
 from startracker.trails.motion import CommonMotion, Signal, find_motion, lengths_of, within
 from startracker.trails.result import Trails
 
-__all__ = ["find_trails"]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
 _LARGEST_MAP_PX = 1200

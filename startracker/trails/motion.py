@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.detection.motion import agrees, common_motion, motion_at
 from startracker.detection.plane import Plane
@@ -21,11 +22,8 @@ from startracker.trails.lines import COARSE_SIGMA, LONGEST_SHARE
 from startracker.trails.model import ANGLE, FLUX, HALF, LINE, SIGMA, TURNED, X, Y
 from startracker.trails.turn import PROJECTED_PX, Turn, fit_turn
 
-__all__ = ["CommonMotion", "Signal", "find_motion", "lengths_of", "within"]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+
 Flags = NDArray[np.bool_]
 
 _ENOUGH = 12

@@ -15,14 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.centroid.psf_fit import MISFIT_SIGMA
 from startracker.centroid.result import Centroids
 from startracker.trails.result import Trails
-
-__all__ = ["PROJECTED_PX", "Turn", "fit_turn", "mid_exposure"]
-
-FloatArray = NDArray[np.float64]
 
 _MOTION_ERROR_PX, _MOTION_ERROR_SHARE = 0.3, 0.02
 """Of the motion that the search found: in pixels, and of its length, as it knows no projection."""

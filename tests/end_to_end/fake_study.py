@@ -4,6 +4,8 @@
 processes that load this file too; as a preload of dask workers it gives them the same trials:
 
     python fake_study.py OUT TRIALS WORKERS SLEEP_S [resume]
+
+With ``command`` at the end it is ``boresight run cubesat_ideal`` with such trials, and a page of one word.
 """
 
 from __future__ import annotations
@@ -56,9 +58,9 @@ class FakeRunner:
 for module in (dask_pool, engine, process_pool):
     module.TrialRunner = FakeRunner
 
-if __name__ == "__main__":
-    blocks.TARGET_S = 0.1  # many blocks in little time
-    folder, trials, workers = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+
+def run_study(out: str, trials: int, workers: int) -> None:
+    folder = Path(out)
     folder.mkdir(exist_ok=True)
     done = engine.run_trials(
         Scenario.load("cubesat_ideal"), trials, workers=workers, folder=folder, resume="resume" in sys.argv,
@@ -67,3 +69,17 @@ if __name__ == "__main__":
     checksum = done.store.write(folder / "trials.parquet", trials)
     (folder / "summary.json").write_text(json.dumps({"trials_sha256": checksum}))
     engine.discard_parts(folder)
+
+
+def run_command(out: str, trials: int, workers: int) -> int:
+    from simulator.cli import _run
+    from simulator.study.report import page
+
+    page.report_html = lambda *_, **__: "page"
+    return _run(["run", "cubesat_ideal", "--trials", str(trials), "--workers", str(workers), "--out", out])
+
+
+if __name__ == "__main__":
+    blocks.TARGET_S = 0.1  # many blocks in little time
+    start = run_command if sys.argv[-1] == "command" else run_study
+    sys.exit(start(sys.argv[1], int(sys.argv[2]), int(sys.argv[3])))

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from simulator.theses.greyling1995 import SECTIONS
-from simulator.theses.greyling1995.converter import converter_trial, converter_trials
-from simulator.theses.greyling1995.holes import HOLES, SLOW_CLOCK_HZ, memory_image, scene, smear_share
+from simulator.theses.greyling1995.converter import (
+    HOLES,
+    SLOW_CLOCK_HZ,
+    converter_trial,
+    converter_trials,
+    memory_image,
+    scene,
+    smear_share,
+)
 from simulator.theses.greyling1995.prototype import defocus_radii_um, limits_of_brightness
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from simulator.cli import _run
 from simulator.study.datasheet import run as datasheet_run
-from simulator.study.datasheet.plan import Amounts
+from simulator.study.datasheet.sheet import Amounts
 
 CAMERA = """\
 base: cubesat_ideal
@@ -23,7 +23,7 @@ specification:
   about_boresight_deg: 1.0
   percentile: 50
 """
-AMOUNTS = Amounts(5, 40, 8, 5, 1, 5, 12, 4, 400)
+AMOUNTS = Amounts(2, 40, 4, 3, 1, 3, 8, 3, 200)
 """A small datasheet with the trials of the run."""
 
 # with 50 % 6 frames can show that a requirement is met: 0.5^6 = 0.016; the sequence has 7 independent ones

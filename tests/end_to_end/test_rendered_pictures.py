@@ -5,7 +5,7 @@ import pytest
 
 from simulator.scenario import Scenario
 from simulator.study.sequence.run import run_sequence
-from simulator.theses.yee1999 import rendered_flight, rendered_vega, threshold_sweep
+from simulator.theses.yee1999 import rendered, rendered_flight, threshold_sweep
 from simulator.theses.yee1999.catalogue import printed_rows
 from startracker.catalog import load_catalog
 from startracker.detection import estimate, find_clusters
@@ -15,7 +15,7 @@ from startracker.settings import DetectionSettings
 def test_vega_from_pixels_to_the_centre():
     scenario = Scenario.load("xybion")
     assert (scenario.detector.width, scenario.detector.height, scenario.detector.adc_bits) == (427, 319, 8)
-    frames = rendered_vega.vega_frames(3)
+    frames = rendered.vega_frames(3)
     for frame in frames:
         assert frame.shown.frame.camera.undistorted_fov_deg == pytest.approx(9.0130, abs=2e-4)
         named = {(number or 0) % 10_000 for number in frame.analysis.matches}

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pages import browser, faults, faults_on_paper
+from pages import browser, faults, faults_on_paper, screens
 from PIL import Image
 
 from simulator.scenario import Scenario
@@ -50,8 +50,7 @@ def page():
         yield opened
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 800, 1400])
+@screens(390, 800, 1400)
 def test_page_is_whole_and_legible(page, file, width, scheme):
     assert faults(page, file.as_uri(), width, scheme) == []
     pictures = page.value(

@@ -15,16 +15,24 @@ SCENARIOS = sorted((Path(__file__).resolve().parents[2] / "scenarios").glob("*.y
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_shipped_scenario(path, tmp_path):
-    trials = 15 if path.stem in SEQUENCES else 60
-    study = run(Scenario.load(path), trials=trials, out=tmp_path)
+def test_shipped_scenario(path):
+    check_study(path, run(Scenario.load(path), trials=6 if path.stem in SEQUENCES else 16))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_shipped_scenario_with_more_trials_and_its_files(path, tmp_path):
+    check_study(path, run(Scenario.load(path), trials=15 if path.stem in SEQUENCES else 60, out=tmp_path))
+
+
+def check_study(path, study):
     summary = study.summary
     assert summary["wrong"] == 0
     assert summary["stars_misidentified"] == 0
-    # the issue asks for 99 % of 500 and more; of 60 frames one may be missed (binomial, 12 % for two or more at 99 %)
-    assert summary["solved"] >= trials - 1
+    # 99 % are to be solved: of 60 frames one may be missed (binomial, 12 % for two or more), and of 16 (1.1 %)
+    assert summary["solved"] >= summary["trials"] - 1
     if path.stem != "tc211":  # a prototype: nobody asked it for the mission's accuracy
-        # 60 trials cannot show that 99.7 % of the errors are within it, but they would show that fewer are
+        # so few trials cannot show that 99.7 % of the errors are within it, but they would show that fewer are
         for entry in summary["specification"].values():
             assert entry["verdict"] == "undecided"
             assert entry["p997_deg"] < entry["specified_deg"]

@@ -21,9 +21,10 @@ SCRIPT = Path(__file__).with_name("fake_study.py")
 TRIALS = 1000
 
 
-@pytest.fixture
-def cluster(tmp_path):
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
     """Scheduler and two workers as processes of their own; the workers' trials cost nothing."""
+    tmp_path = tmp_path_factory.mktemp("cluster")
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__ADMIN__LOG_FORMAT": "%(message)s"}
     file = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": tmp_path}
@@ -44,6 +45,17 @@ def cluster(tmp_path):
             process.send_signal(signal.SIGINT)
         for process in processes:
             process.wait(timeout=30)
+
+
+def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
+    plan = plan_sweep("cubesat_ideal", ["optics.aperture_mm=15,16"], trials=40)
+    sweep = run_sweep(plan, tmp_path / "sweep", dask=cluster)
+    assert sweep.trials.num_rows == 80
+    assert not any(point["status"] == "refused" for point in sweep.table["points"])
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
+    with pytest.raises(InputError, match="no scheduler responds"):
+        run_sweep(plan, tmp_path / "other", dask="tcp://127.0.0.1:1")
 
 
 def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path, monkeypatch):
@@ -68,17 +80,6 @@ def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path, monkeypat
     wanted = run_block(runner.run, range(TRIALS)).table
     kept = [name for name in wanted.column_names if not name.endswith("_ms")]
     assert done.table.select(kept).equals(wanted.select(kept))
-
-
-def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
-    plan = plan_sweep("cubesat_ideal", ["optics.aperture_mm=15,16"], trials=40)
-    sweep = run_sweep(plan, tmp_path / "sweep", dask=cluster)
-    assert sweep.trials.num_rows == 80
-    assert not any(point["status"] == "refused" for point in sweep.table["points"])
-    monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
-    with pytest.raises(InputError, match="no scheduler responds"):
-        run_sweep(plan, tmp_path / "other", dask="tcp://127.0.0.1:1")
 
 
 def _fake_runner():

@@ -55,10 +55,10 @@ def undisturbed(runner, tmp_path_factory):
     return store.table(TRIALS)
 
 
-def start(folder, workers, *, resume=False, sleep_s=0.001):
-    command = [sys.executable, str(SCRIPT), str(folder), str(TRIALS), str(workers), str(sleep_s)]
+def start(folder, workers, *options, sleep_s=0.001):
+    command = [sys.executable, str(SCRIPT), str(folder), str(TRIALS), str(workers), str(sleep_s), *options]
     return subprocess.Popen(
-        [*command, *(["resume"] if resume else [])], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
 
@@ -73,15 +73,18 @@ def assert_same(path, undisturbed):
         assert [b and b.to_pybytes() for b in left.buffers()] == [b and b.to_pybytes() for b in right.buffers()], name
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))])
-def test_a_run_killed_again_and_again_ends_with_the_same_rows(tmp_path, undisturbed, seed):
+@pytest.mark.parametrize(
+    ("seed", "most_kills"), [(1, 2), *(pytest.param(seed, 40, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))]
+)
+def test_a_run_killed_again_and_again_ends_with_the_same_rows(tmp_path, undisturbed, seed, most_kills):
     rng = np.random.default_rng(seed)
     kills = 0
     for attempt in range(40):
-        process = start(tmp_path, workers=2 if attempt % 4 == 3 else 1, resume=attempt > 0)
+        process = start(tmp_path, 2 if attempt % 4 == 3 or kills == 2 else 1, *["resume"][:attempt])
         process.stdout.readline()  # the first words: how many trials were found
+        wait_s = float(rng.uniform(0.05, 0.5)) * 1.1**attempt  # a slow machine ends later, but ends
         try:
-            process.wait(timeout=float(rng.uniform(0.05, 0.9)) * 1.1**attempt)  # a slow machine ends later, but ends
+            process.wait(timeout=wait_s if kills < most_kills else None)
         except subprocess.TimeoutExpired:
             process.kill()
             kills += 1
@@ -106,9 +109,36 @@ def wait_for_parts(folder, process, number):
         assert process.poll() is None, process.communicate()[1]
 
 
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(
+    tmp_path, undisturbed, runner, monkeypatch, workers
+):
+    """Ctrl-C in a terminal goes to all processes of the command."""
+    process = start(tmp_path, workers, "command", sleep_s=0.005)
+    wait_for_parts(tmp_path, process, 2)
+    finished = [part.stem.split("-")[:2] for part in (tmp_path / parts.PARTS_FOLDER).glob("*.parquet")]
+    os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert "Interrupted" in output
+    kept = pq.read_table(tmp_path / "trials.parquet")
+    # parts are named by their first and last trial
+    assert sum(int(stop) - int(start) for start, stop in finished) <= kept.num_rows < TRIALS
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["interrupted"] is True
+    assert summary["trials"] == kept.num_rows
+    monkeypatch.setattr("simulator.study.report.page.report_html", lambda *_, **__: "page")
+    firsts = []
+    run(Scenario.load("cubesat_ideal"), TRIALS, out=tmp_path, resume=True, progress=lambda done, _: firsts.append(done))
+    assert firsts[0] == kept.num_rows
+    assert_same(tmp_path / "trials.parquet", undisturbed)
+    assert not (tmp_path / parts.PARTS_FOLDER).exists()
+
+
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds the workers in /proc")
 def test_a_worker_killed_costs_only_time_and_workers_end_with_their_parent(tmp_path, undisturbed, runner):
-    process = start(tmp_path, workers=2, sleep_s=0.01)
+    process = start(tmp_path, 2, sleep_s=0.01)
     wait_for_parts(tmp_path, process, 3)
     killed = workers_of(process.pid)
     assert len(killed) == 2

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from pages import browser, faults, faults_on_paper
+from pages import browser, faults, faults_on_paper, screens
 
 from simulator.checks import load_scenario
 from simulator.study.point_statistics import point_statistics
@@ -20,8 +20,7 @@ from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import judge
 from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare
-from simulator.study.sweep.compare_page import comparison_page
-from simulator.study.sweep.page import sweep_page
+from simulator.study.sweep.page import comparison_page, sweep_page
 from simulator.study.sweep.plots import sweep_figures
 
 DIGEST = "0123456789abcdef" * 4
@@ -105,8 +104,7 @@ def page():
 
 
 @pytest.mark.parametrize("kind", ["sweep", "compare", "sequence"])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1400, 800, 390])
+@screens(1400, 800, 390)
 def test_page_is_complete_and_legible(page, files, kind, scheme, width):
     assert faults(page, files[kind].as_uri(), width, scheme) == []
 

@@ -46,7 +46,9 @@ def test_mistakes_are_one_clear_line_and_leave_nothing(arguments, tmp_path, monk
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("trials_done", [4, 5], ids=["between points", "within a point"])
+@pytest.mark.parametrize(
+    "trials_done", [pytest.param(4, id="between points", marks=pytest.mark.slow), pytest.param(5, id="within a point")]
+)
 def test_interrupt_keeps_finished_points_and_resume_completes_them(trials_done, tmp_path, monkeypatch, capsys):
     command = ["sweep", "tc211", "--out", "s", "--trials", "4", "--workers", "1", "--over", "optics.aperture_mm=14,16"]
     monkeypatch.chdir(tmp_path)

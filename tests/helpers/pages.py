@@ -66,6 +66,14 @@ def browser():
         yield opened
 
 
+def screens(*widths):
+    """Parameters `width` and `scheme`: each width and both schemes in every run, all pairs in ``make test-all``."""
+    usual = {(width, ("light", "dark")[k % 2]) for k, width in enumerate(widths)}
+    pairs = [(width, scheme) for width in widths for scheme in ("light", "dark")]
+    marked = [pytest.param(*pair, marks=[] if pair in usual else [pytest.mark.slow]) for pair in pairs]
+    return pytest.mark.parametrize(("width", "scheme"), marked)
+
+
 def faults(page, uri, width, scheme):
     """What is wrong with a page at a width of the window, in light or dark: one line each."""
     page.screen(width, scheme=scheme, mobile=width < 500)

@@ -17,6 +17,7 @@ from startracker import detection as detecting
 from startracker.calibration import StarField, calibrate
 from startracker.catalog import load_catalog
 from startracker.front_end import Clock, find_stars
+from startracker.given_image import given_image
 from startracker.observer import Observer
 from startracker.settings import CentroidSettings, DetectionSettings
 
@@ -36,13 +37,12 @@ def fields(images):
     made = []
     for name, loaded in images.items():
         found = find_stars(
-            loaded.image,
+            given_image(loaded),
             detecting.METHODS["components"],
             centroiding.METHODS["least_squares"],
             DetectionSettings(max_stars=400),
             CentroidSettings(),
             Clock(),
-            saturation_dn=loaded.saturation_dn,
         )
         height, width = loaded.image.shape
         made.append(StarField(name, found.xy, width, height, found.flux, found.variance_px2, Observer(2022.0)))

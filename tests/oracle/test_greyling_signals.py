@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from simulator.theses.figures import draw
-from simulator.theses.greyling1995 import signals, spectral
-from simulator.theses.greyling1995.comparators import compare_levels, even_levels
+from simulator.theses.greyling1995 import signals, starlight
+from simulator.theses.greyling1995.converter import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import STATE_TABLE, next_state
 from simulator.theses.tables import table_rows
 
@@ -58,17 +58,17 @@ def test_the_latch_holds_what_the_output_dips_to():
 
 
 def test_peaks_of_the_spectral_responses():
-    rows = {(row.where, row.printed): row for row in table_rows("greyling1995/spectral", spectral.values())}
+    rows = {(row.where, row.printed): row for row in table_rows("greyling1995/spectral", starlight.spectral_values())}
     assert rows["Fig. 2.2", "555 nm"].verdict == "exact"
     w = np.array([440.0, 550.0, 640.0, 790.0, 1250.0])
-    np.testing.assert_allclose(spectral.ccd_efficiency(w), [0.2, 0.4, 0.5, 0.38, 0.05])  # ccdmag.m
+    np.testing.assert_allclose(starlight.ccd_efficiency(w), [0.2, 0.4, 0.5, 0.38, 0.05])  # ccdmag.m
     # an electron a photon is λ / 1.2398 A/W, λ in µm (CODATA: hc/q = 1.239842 V µm)
-    np.testing.assert_allclose(spectral.ccd_response_a_w(w), spectral.ccd_efficiency(w) * w / 1239.842, rtol=1e-6)
+    np.testing.assert_allclose(starlight.ccd_response_a_w(w), starlight.ccd_efficiency(w) * w / 1239.842, rtol=1e-6)
 
 
 def test_figures_are_drawn():
     spectra = ("fig_2_2_eye_and_ccd", "fig_3_10_quantum_efficiency", "fig_3_11_response")
-    drawn = [draw(f"greyling1995/photometry/{name}", spectral.values()) for name in spectra]
+    drawn = [draw(f"greyling1995/photometry/{name}", starlight.spectral_values()) for name in spectra]
     circuit = ("fig_6_5_clocks", "fig_6_6_states", "fig_6_7_circuit", "fig_6_8_output")
     drawn += [draw(f"greyling1995/prototype/{name}", signals.values()) for name in circuit]
     for figure in drawn:

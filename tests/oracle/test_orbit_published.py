@@ -17,7 +17,7 @@ from skyfield.api import EarthSatellite, load, load_file
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
-from simulator.mission.frames import ground_track_deg, local_time_of_raan, raan_of_local_time, true_of_date
+from simulator.mission.frames import ground_track_deg, raan_of_local_time, true_of_date
 from simulator.mission.orbit import _satellite, build_orbit
 from simulator.mission.parameters import OrbitParameters
 from simulator.mission.secular import mean_motion
@@ -93,7 +93,6 @@ def test_local_time_against_skyfields_sidereal_time():
         local_h = (ut1_h + math.degrees(orbit.raan_rad(0.0)) / 15.0 - t.gast) % 24.0
         # t.ut1 in one float is good to 40 µs of time
         assert abs((local_h - ltan_h + 12) % 24 - 12) * 3600 < 0.04 / 15 + 1e-4
-        assert local_time_of_raan(orbit.clock, orbit.raan_rad(0.0)) == pytest.approx(ltan_h % 24, abs=1e-9)
 
 
 def test_sun_synchronism_over_two_years_against_de421(ephemeris):

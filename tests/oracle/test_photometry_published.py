@@ -12,7 +12,7 @@ import pytest
 from scipy.constants import c, h, k
 
 from simulator.optics.curves import Curve, load_curve
-from simulator.sky.photometry import Photometer, integrate
+from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import blackbody, temperature_k
 
 PUBLISHED = {"b": (1393.0, 438.0), "v": (995.5, 545.0), "r": (702.0, 641.0), "i": (452.0, 798.0)}
@@ -85,6 +85,11 @@ AREA_CM2, EXPOSURE_S, PIXELS, UV_PER_E = math.pi * 36.0, 0.5, 25, 1.12
 WIDTHS_UM = np.array([0.1, 0.55 - 0.44, 0.64 - 0.55, 0.79 - 0.64, 1.25 - 0.79])
 
 
+def electrons(photons, response):
+    product = photons * response
+    return np.trapezoid(product.value, product.wavelength_nm)
+
+
 def millivolts(electrons_cm2_s, v_mag=6.5):
     return electrons_cm2_s * AREA_CM2 * EXPOSURE_S * 10 ** (-0.4 * v_mag) / PIXELS * UV_PER_E * 1e-3
 
@@ -93,14 +98,14 @@ def test_voltage_of_the_thesis_camera():
     """V = 6.5, 0.5 s, 12 cm, 25 pixels: 8.75 mV with the right physics, 5.405 mV with one λ (µm) too many.
 
     The widths of the five bands and the gain are those of `ccdmag.m` in appendix B. The sum is checked here through
-    `integrate`, with each band a box in the photons and the efficiency a constant in it.
+    the product of two curves, with each band a box in the photons and the efficiency a constant in it.
     """
     total = with_extra_lambda = 0.0
     for um, width, photons, qe in zip(BANDS_UM, WIDTHS_UM, PHOTONS_NM, QE, strict=True):
         edges = 1e3 * (um + width * np.array([-0.5, 0.5]))
-        electrons = integrate(Curve(edges, np.full(2, photons)), Curve([300.0, 1700.0], [qe, qe]))
-        total += electrons
-        with_extra_lambda += electrons * um
+        of_band = electrons(Curve(edges, np.full(2, photons)), Curve([300.0, 1700.0], [qe, qe]))
+        total += of_band
+        with_extra_lambda += of_band * um
     listing = h * c / (6.626e-34 * 3e8)  # its constants, of four digits, and one
     assert millivolts(total) * listing == pytest.approx(8.75, abs=0.0005)
     assert millivolts(with_extra_lambda) * listing == pytest.approx(5.405, abs=0.0005)
@@ -114,7 +119,7 @@ def test_integral_of_two_straight_lines_is_exact():
         n, q = PHOTONS_NM[i : i + 2], QE[i : i + 2]
         middle = n.mean() * q.mean()
         exact += (BANDS_UM[i + 1] - BANDS_UM[i]) * 1e3 / 6 * (n[0] * q[0] + 4 * middle + n[1] * q[1])
-    assert integrate(photons, response) == pytest.approx(exact, rel=1e-5)
+    assert electrons(photons, response) == pytest.approx(exact, rel=1e-5)
 
 
 def test_our_spectrum_gives_the_thesis_camera_the_same_order():

@@ -10,7 +10,7 @@ import pytest
 
 from simulator.detector.readout import convert
 from simulator.optics.shutter import frame_transfer_smear
-from simulator.theses.greyling1995.comparators import compare_levels, even_levels, geometric_levels
+from simulator.theses.greyling1995.converter import compare_levels, even_levels, geometric_levels
 from simulator.theses.greyling1995.sequencer import (
     SERIAL_CLOCK_HZ,
     STATE_TABLE,

@@ -33,7 +33,7 @@ def attempt(text, overrides=()):
         assert all(line.startswith(("fuzz.yaml", "--set")) for line in lines)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, len(TEXT)), st.integers(0, 12), st.sampled_from(PIECES)), min_size=1, max_size=6)
 )
@@ -44,7 +44,7 @@ def test_mutated_files(edits):
     attempt(text)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(deadline=None)
 @given(st.text(max_size=80))
 def test_any_text(text):
     attempt(text)
@@ -56,13 +56,13 @@ values = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(deadline=None)
 @given(st.sampled_from(KEYS), values)
 def test_any_value_of_any_key(path, value):
     attempt(TEXT, [f"{path}={flow(value)}"])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(deadline=None)
 @given(st.text(max_size=30))
 def test_any_option(text):
     attempt(TEXT, [text])

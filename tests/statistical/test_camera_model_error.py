@@ -10,6 +10,7 @@ from simulator import Scenario
 from simulator.study.trials.trial import TrialRunner
 from startracker import centroid, detection
 from startracker.front_end import Clock, find_stars
+from startracker.given_image import given_image
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.tracking.looking import Sky, look
 
@@ -50,7 +51,8 @@ def test_it_is_added_to_every_centroid(frame_and_tracker):
     detect, measure = detection.DETECTORS["components"], centroid.METHODS["maximum_likelihood"]
     settings = [CentroidSettings(), CentroidSettings(camera_model_px=0.3)]
     plain, stated = (
-        find_stars(frame.image, detect, measure, DetectionSettings(), s, Clock(), camera=frame.camera) for s in settings
+        find_stars(given_image(frame), detect, measure, DetectionSettings(), s, Clock(), camera=frame.camera)
+        for s in settings
     )
     assert np.array_equal(plain.xy, stated.xy)
     np.testing.assert_allclose(stated.variance_px2 - plain.variance_px2, 0.09, rtol=1e-12)

@@ -3,6 +3,8 @@
 With the geometric centroids of the images at the stars' positions every star in the corner was 0.5 px off.
 """
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -17,8 +19,9 @@ from startracker.settings import CentroidSettings
 SIZE, READ_NOISE_E = 512, 13.0
 
 
-def measured_errors(section, electrons, method, seed=2, step=32):
-    """Positions of a grid of stars at random phases relative to the middle, and their measured minus true ones."""
+@functools.cache
+def frame_of(section, electrons, seed=2, step=32):
+    """Positions of a grid of stars at random phases, their mean image, and one with noise."""
     rng = np.random.default_rng(seed)
     psfs = build_psf_set(section, 8.0, (5.0, 5.0), (SIZE, SIZE))
     nodes = np.arange(step // 2, SIZE, step)
@@ -26,7 +29,12 @@ def measured_errors(section, electrons, method, seed=2, step=32):
     mean = np.zeros((SIZE, SIZE))
     for members, psf in psfs.groups(np.full(len(true), np.nan), true):
         render_stars(mean.shape, true[members], np.ones(1), np.full(len(members), electrons), psf, mean)
-    image = (rng.poisson(mean) + rng.normal(0.0, READ_NOISE_E, mean.shape)).astype(np.float32)
+    return true, mean, (rng.poisson(mean) + rng.normal(0.0, READ_NOISE_E, mean.shape)).astype(np.float32)
+
+
+def measured_errors(section, electrons, method):
+    """Positions of the stars of a frame relative to the middle, and their measured minus true ones."""
+    true, mean, image = frame_of(section, electrons)
     # the brightest pixel, as a detector finds it
     smooth = sum(np.roll(mean, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1))
     near = [smooth[y - 6 : y + 7, x - 6 : x + 7] for x, y in np.rint(true).astype(int)]

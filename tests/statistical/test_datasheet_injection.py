@@ -18,8 +18,8 @@ from simulator import Scenario
 from simulator.study.datasheet.classes import Separated, separate
 from simulator.study.datasheet.dependence import residuals
 from simulator.study.datasheet.frames import DatasheetFrames
-from simulator.study.datasheet.plan import QUICK
 from simulator.study.datasheet.scan import scan_geometry
+from simulator.study.datasheet.sheet import QUICK
 from simulator.study.datasheet.tasks import TaskRunner
 
 FIELDS = 24

@@ -4,6 +4,7 @@ Real stars through cameras drawn at random: 3° to 65°, mirrored or not, barrel
 0.5 px noise, 20 % of the stars missing, 10 to 30 % false ones, 8 to 60 stars.
 """
 
+import functools
 import math
 from dataclasses import replace
 
@@ -17,9 +18,14 @@ from startracker.distortion import Distortion
 WIDTH, HEIGHT = 1280, 960
 
 
-def scene(rng, fov_deg, stars):
+@functools.cache
+def sky():
     table = load_catalog("hipparcos").brighter_than(9.5)
-    directions = table.directions(table.epoch_jyear)
+    return table, table.directions(table.epoch_jyear)
+
+
+def scene(rng, fov_deg, stars):
+    table, directions = sky()
     base = replace(Camera.from_fov(fov_deg, WIDTH, HEIGHT), parity=int(rng.choice([1, -1])))
     corner2 = (base.cx / base.fx) ** 2 + (base.cy / base.fy) ** 2
     camera = replace(base, distortion=Distortion(k1=float(rng.uniform(max(-0.3, -0.1 / corner2), 0.1))))

@@ -11,8 +11,8 @@ import pytest
 from star_sequences import SMALL_CAMERA, pooled_nees
 
 from simulator import Scenario
-from simulator.study.sequence.heads_statistics import fused_nees
 from simulator.study.sequence.run import run_sequence
+from simulator.study.sequence.statistics import fused_nees
 
 GYRO = "sequence.gyro={use: true, angle_random_walk_deg_sqrt_h: 0.003, bias_deg_h: 3, scale_factor_ppm: 500}"
 B = "name: b, mounting: zenith, alignment_sigma_arcsec: 60, optics: {focal_length_mm: 14}"

@@ -143,8 +143,8 @@ def test_power_spectrum_over_frames(wide):
     """Welch's spectrum of one sequence's mean angles against the density times sinc²(f T), folded at the Nyquist
     frequency; of a density as 1/f² the window's width adds 1/k² at bin k."""
     path, spectrum = wide
-    step_s, exposure_s, size = 0.5, 0.2, 256
-    angles = np.array([path.shifted(k * step_s).mean(exposure_s) for k in range(16_384)]) / ARCSEC
+    step_s, exposure_s, size, frames = 0.5, 0.2, 256, 8192
+    angles = np.array([path.shifted(k * step_s).mean(exposure_s) for k in range(frames)]) / ARCSEC
     # a second run has the same bytes, of whatever part
     np.testing.assert_array_equal(path.shifted(7 * step_s).mean(exposure_s), angles[7] * ARCSEC)
     f, power = welch(angles, 1.0 / step_s, nperseg=size, axis=0, detrend=False)
@@ -154,7 +154,7 @@ def test_power_spectrum_over_frames(wide):
     inside = (k >= 8) & (f < 0.95)
     expected = (folded * (1.0 + 1.0 / np.maximum(k, 1) ** 2))[inside]
     lines = 512.0 * f[1] / (f[inside] * 5.0 * math.log(10.0)) * 2.0  # of the logarithmic half alone, in two bins
-    allowed = ratio_tolerance(3 * (16_384 // (size // 2) - 1), np.maximum(lines, 1.0))
+    allowed = ratio_tolerance(3 * (frames // (size // 2) - 1), np.maximum(lines, 1.0))
     ratio = power.mean(axis=1)[inside] / expected
     assert (np.abs(ratio - 1.0) < allowed).all()
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.03)
@@ -167,20 +167,20 @@ def test_power_spectrum_over_frames(wide):
 
 
 def test_power_spectrum_within_exposures(wide):
-    """Periodograms of the angles within 300 exposures of 0.5 s of one sequence, in the band of the wheels, whose lines
+    """Periodograms of the angles within 120 exposures of 0.5 s of one sequence, in the band of the wheels, whose lines
     are 4 a bin and more; linear motion is removed, whose leakage falls as 1/k⁶."""
     path, spectrum = wide
     step_s, n = 0.5 / 100, 100
     within = (np.arange(n) - (n - 1) / 2.0) * step_s
     spectra = []
-    for k in range(300):
+    for k in range(120):
         angles = path.shifted(0.7 * k).at(within) / ARCSEC
         f, power = periodogram(angles, 1.0 / step_s, window="hann", detrend="linear", axis=0)
         spectra.append(power.mean(axis=1))
     inside = (f > 33.0) & (f < 57.0)
     ratio = np.mean(spectra, axis=0)[inside] / (spectrum.per_hz(f[inside]) * 100.0**2)
     lines = 1024.0 * f[1] / (60.0 * 5.0 * math.log(10.0)) * 2.0
-    assert (np.abs(ratio - 1.0) < ratio_tolerance(3 * 300, lines)).all()
+    assert (np.abs(ratio - 1.0) < ratio_tolerance(3 * 120, lines)).all()
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.05)
 
 
@@ -198,14 +198,15 @@ def test_a_realisation_does_not_depend_on_the_number_of_frames():
 def test_power_spectrum_of_a_sequence():
     """Welch's spectrum of the frames' angles against the density times sinc²(f T), folded at the Nyquist frequency.
 
-    100 realisations of 3 axes and 4 half-overlapping segments, some 3 of them independent, on random lines: the
-    relative error of a bin is 1/√900 = 3.3 %, and as much again from the lines; 4.5 of both together is 21 %. Over all
-    bins inside, some 90, the mean is good to 0.5 %, and the window's smoothing of the curved density to as much.
+    40 realisations of 3 axes and 4 half-overlapping segments, some 3 of them independent, on random lines: the
+    relative error of a bin is 1/√360 = 5.3 %, and as much again from the lines; 4.5 of both together is 34 %. Over all
+    bins inside, some 90, the mean is good to 0.8 %, and the window's smoothing of the curved density to 0.5 %; 3 of
+    both are 3 %.
     """
     section = Jitter(rms_arcsec=(2.0, 2.0, 2.0), psd="lorentz", corner_hz=1.0)
     spectrum, step_s, exposure_s, n = load_spectrum(section), 0.05, 0.04, 320
     powers = []
-    for seed in range(100):
+    for seed in range(40):
         path = draw_jitter(section, spectrum, stream(seed, "jitter", 0), over_sequence=True)
         angles = sequence_of_means(path, step_s * np.arange(n), exposure_s)
         np.testing.assert_allclose(path.shifted(7 * step_s).mean(exposure_s), angles[7], atol=1e-9 * ARCSEC)
@@ -214,7 +215,7 @@ def test_power_spectrum_of_a_sequence():
     inside = (f > 0.4) & (f < 7.4)  # the band ends at 8 Hz, below the Nyquist frequency of 10
     expected = 4.0 * spectrum.per_hz(f[inside]) * np.sinc(f[inside] * exposure_s) ** 2
     ratio = np.mean(powers, axis=0)[inside] / expected
-    np.testing.assert_allclose(ratio, 1.0, atol=0.21)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.34)
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.03)
 
 

@@ -44,8 +44,8 @@ def test_lorentz_falls_by_half_at_its_corner(tmp_path):
 @pytest.mark.parametrize("name", ["white", "lorentz", "table"])
 def test_rms_and_periodogram(name, tmp_path):
     section, spectrum = spectrum_of(name, tmp_path)
-    trials, span_s = 200, 2.0
-    steps = int(np.ceil(4.0 * spectrum.max_hz * span_s))  # twice the Nyquist rate of the band
+    trials, span_s = 100, 2.0
+    steps = int(np.ceil(2.5 * spectrum.max_hz * span_s))  # 1.25 times the Nyquist rate of the band
     t = (np.arange(steps) + 0.5) * span_s / steps - span_s / 2
     paths = np.array([draw_jitter(section, spectrum, stream(7, "jitter", k)).at(t) for k in range(trials)]) / ARCSEC
     rms = np.array(section.rms_arcsec)
@@ -58,14 +58,14 @@ def test_rms_and_periodogram(name, tmp_path):
     # the axes are independent: correlation 1/√N
     assert np.abs(np.corrcoef(paths[:, 3].T) - np.eye(3)).max() < 4.0 / np.sqrt(trials)
 
+    f = np.fft.rfftfreq(steps, span_s / steps)
+    # what a Hann window of 2 s makes of the spectrum: its own response, 1.5 bins of 0.5 Hz wide, smooths the density
+    fine = np.linspace(0.0, spectrum.max_hz, 4001)
+    response = _hann(np.subtract.outer(f, fine) * span_s) + _hann(np.add.outer(f, fine) * span_s)
+    smoothed = np.trapezoid(response * spectrum.per_hz(fine), fine, axis=1) * span_s
     for axis in range(3):
-        f, power = periodogram(paths[..., axis], steps / span_s, window="hann", detrend=False, axis=-1)
-        mean = power.mean(axis=0)
-        # what a Hann window of 4 s makes of the spectrum: its own response, 1.5 bins wide, smooths the density
-        fine = np.linspace(0.0, spectrum.max_hz, 20_001)
-        density = rms[axis] ** 2 * spectrum.per_hz(fine)
-        kernel = _hann(np.subtract.outer(f, fine) * span_s) + _hann(np.add.outer(f, fine) * span_s)
-        expected = np.trapezoid(kernel * density, fine, axis=1) * span_s
+        _, power = periodogram(paths[..., axis], steps / span_s, window="hann", detrend=False, axis=-1)
+        mean, expected = power.mean(axis=0), rms[axis] ** 2 * smoothed
         inside = (f > 2.0 / span_s) & (f < spectrum.max_hz - 2.0 / span_s)
         # each of N periodograms has an exponential distribution around what the lines in its reach add up to: relative
         # variance 1 + 2 H/n, with n lines a bin (Poisson at the worst) and H = ∫ response² = 0.48; 4.5 of its root/√N

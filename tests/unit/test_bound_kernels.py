@@ -15,7 +15,7 @@ from simulator.study.trials import bounds
 from simulator.study.trials.trial import TrialRunner
 from startracker.attitude import Attitude
 from startracker.camera import Camera
-from startracker.distortion import Distortion, distort
+from startracker.distortion import Distortion, project_pinhole
 
 SMALL = ["detector.width=256", "detector.height=256"]
 
@@ -143,7 +143,7 @@ def test_a_pinhole_projects_by_ratio_distortion_and_scale(parity):
     camera = Camera(700.0, 710.0, 300.0, 200.0, 640, 480, lens, parity)
     vectors = np.random.default_rng(10).normal(size=(50, 3))
     ahead = vectors[:, 2] > 1e-9
-    flat = distort(vectors[ahead, :2] / vectors[ahead, 2:], lens.as_array())
+    flat = project_pinhole(vectors[ahead], lens.as_array(), 1.0, 1.0, 0.0, 0.0)
     found = camera.project(vectors)
     np.testing.assert_array_equal(found[ahead], flat * [parity * 700.0, 710.0] + [300.0, 200.0])
     assert np.isnan(found[~ahead]).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from startracker.camera import Camera
-from startracker.distortion import Distortion, distort, undistort
+from startracker.distortion import Distortion, project_pinhole, undistort
 from startracker.errors import InputError
 
 LENS = Distortion(k1=-0.1, k2=0.02, p1=1e-3, p2=-5e-4)
@@ -93,6 +93,10 @@ def test_arguments_are_left_alone():
 
 
 # ---------------------------------------------------------------- distortion
+def distort(xy, k):
+    return project_pinhole(np.column_stack([xy, np.ones(len(xy))]), k, 1.0, 1.0, 0.0, 0.0)
+
+
 def test_distortion_by_hand():
     # Brown–Conrady at (0.3, −0.2), r² = 0.13
     lens = Distortion(k1=0.1, k2=0.2, p1=0.01, p2=0.02, k3=0.3, k4=0.4, k5=0.5, k6=0.6)

@@ -39,11 +39,6 @@ def test_a_tilted_gaussian_is_a_sum_of_products(xy):
         assert psf.table[middle + row, middle + column] == pytest.approx(exact, abs=1e-5 * psf.table.max())
 
 
-def test_noise_area_is_that_of_king():
-    # King 1983: 4πσ² for a Gaussian; the pixel adds 1/12 to σ² of so wide a one
-    assert gaussian_psf(4.0, 4.0, radius_px=12.0).noise_area_px == pytest.approx(4 * np.pi * (4 + 1 / 12), rel=1e-3)
-
-
 @pytest.mark.parametrize("path", [(4.0, 0.0), (2.0, -3.0)])
 def test_smear_is_the_mean_of_many_exposures(path):
     still = gaussian_psf(0.8, 0.8, radius_px=6.0)

@@ -11,7 +11,7 @@ from simulator.checks import load_scenario
 from simulator.study.point_statistics import point_statistics
 from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare, differences
-from simulator.study.sweep.compare_page import comparison_page
+from simulator.study.sweep.page import comparison_page
 from startracker.errors import InputError
 
 N = 400

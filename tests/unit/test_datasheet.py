@@ -14,10 +14,9 @@ from simulator.build import sequence_motion
 from simulator.mission.motion import rate_profile
 from simulator.study.datasheet import frames
 from simulator.study.datasheet.accuracy import normal_factor
-from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of, upper_limit
 from simulator.study.datasheet.performance import ACQUIRED, bracket, frames_to_acquire, recovery_frames, swinging
 from simulator.study.datasheet.run import stages_of
-from simulator.study.datasheet.sheet import Quantity, select
+from simulator.study.datasheet.sheet import Estimate, Quantity, mean_of, proportion, rms_of, select, upper_limit
 from simulator.study.datasheet.tables import estimate_text
 from startracker.attitude import Attitude
 

@@ -14,9 +14,10 @@ from simulator.checks import load_scenario
 from simulator.study.coverage.boresights import whole_sky
 from simulator.study.coverage.prediction import left_out, predict
 from simulator.study.design import verification
-from simulator.study.design.files import write_design
+from simulator.study.design.plot import design_plot
 from simulator.study.design.search import PARAMETERS, Search, Trade, changed, design
 from simulator.study.design.verification import Verified, trials_for, verified_design, verify
+from simulator.study.result_files import write_study
 from simulator.study.specification.verdicts import MET, Judgement, judge
 from simulator.study.trials.trial import TrialRunner
 from startracker.errors import InputError
@@ -95,7 +96,8 @@ def test_the_field_is_the_one_asked_for(scenario, projection):
 def test_no_value_in_the_range_is_an_answer_too(scenario, tmp_path):
     none = design(scenario, Trade("detector.exposure_s", 1e-5, 1e-4, steps=2, count=100))
     assert none.best is None
-    write_design(Verified(none, ()), tmp_path)
+    verified = Verified(none, ())
+    write_study(tmp_path, "design", verified.to_dict(), None, {"design": design_plot(verified)})
     told = json.loads((tmp_path / "design.json").read_text())
     assert told["best"] is None
     assert told["answer"] is None

@@ -36,10 +36,6 @@ def test_subtraction():
 
 
 def test_multiplication():
-    assert F44.multiply_integer(bits("0011.1000"), 2) == bits("0111.0000")
-    with pytest.raises(FixedPointOverflow) as overflow:
-        F44.multiply_integer(bits("0011.0000"), 4)
-    assert overflow.value.value == bits("00001100.0000")
     assert F44.multiply(bits("0011.0000"), bits("0001.1000")) == bits("0100.1000")
     with pytest.raises(FixedPointOverflow) as overflow:  # −3 × 7.5
         F44.multiply(bits("1101.0000"), bits("0111.1000"))
@@ -49,7 +45,6 @@ def test_multiplication():
 
 
 def test_division():
-    assert F44.divide_integer(bits("0101.0100"), 9) == bits("0000.1001")
     assert F44.divide(bits("0101.0010"), bits("0010.0000")) == bits("0010.1001")
     with pytest.raises(FixedPointOverflow) as overflow:
         F44.divide(bits("0101.0010"), bits("0000.1000"))
@@ -80,7 +75,7 @@ def test_integers_in_formats():
 
 
 def test_floats_are_refused():
-    for operation in (F44.add, F44.subtract, F44.multiply, F44.divide, F44.multiply_integer):
+    for operation in (F44.add, F44.subtract, F44.multiply, F44.divide):
         with pytest.raises(TypeError, match="float64"):
             operation(1, 1.0)
     with pytest.raises(TypeError):

@@ -87,7 +87,8 @@ def test_a_sequence_follows_the_series_in_time(tmp_path):
         fine = t + np.linspace(-0.5, 0.5, 20_001) * exposure_s
         mean = np.trapezoid(wheel(fine), fine, axis=0) / exposure_s
         np.testing.assert_allclose(state.camera.rotation_vector_to(camera) / ARCSEC, mean, rtol=0, atol=1e-3)
-    frame, truth = runner._take(2, runner.states[2], 1.4, None)
+    tracked = list(runner.frames())[2]
+    frame, truth = tracked.frame, tracked.truth
     np.testing.assert_allclose(truth.attitude.rotation_vector_to(runner.cameras[2]), 0.0, atol=1e-14)
     still = Renderer(
         load_scenario("cubesat_ideal", ["detector.width=256", "detector.height=256", "pointing.error_deg=0"])

@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from simulator.mission.frames import local_time_of_raan
 from simulator.mission.orbit import PROPAGATORS, Orbit, build_orbit
 from simulator.mission.parameters import OrbitParameters
 from startracker.errors import InputError
@@ -45,11 +44,6 @@ def test_unknown_propagator_is_named():
     section = OrbitParameters(propagator="sgp8")
     with pytest.raises(InputError, match=r"'sgp8' is not one of the propagators: j2, sgp4; did you mean 'sgp4'"):
         build_orbit(section, EPOCH)
-
-
-def test_node_is_at_half_past_ten_in_the_evening_by_default():
-    orbit = build_orbit(OrbitParameters(), EPOCH)
-    assert local_time_of_raan(orbit.clock, orbit.raan_rad(0.0)) == pytest.approx(22.5, abs=1e-9)
 
 
 @pytest.mark.parametrize("propagator", PROPAGATORS)

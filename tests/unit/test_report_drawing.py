@@ -8,9 +8,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from simulator.study.report import drawing
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.trials.columns import Columns
 from startracker.errors import BoresightError
+
+
+@pytest.fixture(autouse=True)
+def another_process(process_of_pages, monkeypatch):
+    monkeypatch.setattr(drawing, "in_a_process", process_of_pages)
 
 
 def test_the_page_comes_back_as_it_was_drawn():

@@ -8,7 +8,7 @@ from simulator.study.exported_c.build import M68K, Target, compile_export
 from simulator.study.exported_c.centroid_lists import list_text
 from simulator.theses.yee1999 import SECTIONS
 from simulator.theses.yee1999.catalogue import printed_rows
-from simulator.theses.yee1999.fixed_centroids import fixed_centroids, star_pixels
+from simulator.theses.yee1999.integers import fixed_centroids, star_pixels
 from simulator.theses.yee1999.picture import deneb
 from simulator.theses.yee1999.run_times import version_b
 

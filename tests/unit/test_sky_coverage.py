@@ -14,8 +14,9 @@ from simulator.randomness import stream
 from simulator.sky.earth import occulted
 from simulator.study.coverage.boresights import Exclusion, along_path, sky_grid, whole_sky
 from simulator.study.coverage.field_counts import accumulate_information, circle, outline, solid_angle_sr
-from simulator.study.coverage.files import RESULT_FILES, write_coverage
+from simulator.study.coverage.maps import coverage_figures
 from simulator.study.coverage.survey import count_stars, coverage
+from simulator.study.result_files import write_study
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -180,8 +181,9 @@ def test_results_are_whole_and_the_same_again(tmp_path):
     )
     assert one.summary() == two.summary()
     assert one.to_table(scenario).equals(two.to_table(scenario))
-    write_coverage(one, scenario, tmp_path / "a")
-    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == sorted(RESULT_FILES)
+    files = write_study(tmp_path / "a", "coverage", one.summary(), None, coverage_figures(one), one.to_table(scenario))
+    assert files == ("coverage.json", "coverage.parquet", "map.png", "counts.png", "magnitudes.png")
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == sorted(files)
     summary = json.loads((tmp_path / "a" / "coverage.json").read_text())
     table = pq.read_table(tmp_path / "a" / "coverage.parquet")
     stars = table["stars"].to_numpy()
@@ -202,7 +204,7 @@ def test_results_are_whole_and_the_same_again(tmp_path):
 def test_everything_excluded_is_told_not_divided_by(tmp_path):
     scenario = load_scenario("cubesat_ideal")
     result = coverage(scenario, 50, magnitude_limit=4.0, exclusion=Exclusion(sun_deg=180.0))
-    write_coverage(result, scenario, tmp_path)
+    write_study(tmp_path, "coverage", result.summary(), None, coverage_figures(result))
     summary = json.loads((tmp_path / "coverage.json").read_text())
     assert summary["excluded_share_any"] == 1.0
     assert summary["stars"]["min"] is None

@@ -18,12 +18,13 @@ from simulator.study.sequence.columns import is_wrong_attitude
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.statistics import CAMERA_AXES, WRONG_NEES, is_wrong
 from simulator.study.trials.bounds import matched_sources
-from simulator.study.trials.systematic import explained_deg, systematic_turn_deg
 from simulator.study.trials.trial import (
     TrialRunner,
+    explained_deg,
     galactic_latitude_deg,
     normalised_error_squared,
     solve_frame,
+    systematic_turn_deg,
 )
 from startracker.attitude import Attitude
 from startracker.solution import Status

@@ -20,9 +20,8 @@ from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.arrow import as_array
 from simulator.study.trials.engine import Progress, run_trials
+from startracker.arrays import FloatArray
 from startracker.errors import BoresightError, InputError
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

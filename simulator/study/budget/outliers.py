@@ -11,14 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.study.statistics import CAMERA_AXES
-
-__all__ = ["Outlier", "find_outliers"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from startracker.arrays import BoolArray, FloatArray
 
 LIMIT_SIGMAS = 8.0
 """Limit in robust standard deviations of the errors with all effects, each relative to the Cramér–Rao bound of its own

@@ -1,4 +1,4 @@
-"""Attitudes of a camera: uniform over the whole sky, or along a mission's path.
+"""Attitudes of a camera: uniform over the whole sky, or along a mission's path; and their exclusion angles.
 
 All attitudes have the same weight, of the sky or of the time.
 """
@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.build import build_mounting, build_orbit, build_scenes
 from simulator.constants import EARTH_RADIUS_KM
@@ -21,16 +20,13 @@ from simulator.mission.trajectory import from_earth, geocentric
 from simulator.optics.jitter import NO_JITTER
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.scenario.fields import all_keys
 from simulator.scene import GivenState
 from simulator.study.body_angles import angle_from_deg
+from startracker.arrays import BoolArray, FloatArray
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.display import fields_repr
 from startracker.errors import InputError
-
-__all__ = ["Boresights", "Exclusion", "along_path", "sky_grid", "whole_sky"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _PLASTIC = 0.754_877_666_246_692_8
@@ -241,3 +237,51 @@ def _east_north(directions: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _at_least_one(what: str, count: int) -> None:
     if count < 1:
         raise InputError(f"{what}: must be at least 1, not {count}")
+
+
+BODIES = ("sun", "moon", "earth")
+
+
+def exclusion_of(scenario: Scenario, given: Mapping[str, float | None] | None = None) -> Exclusion:
+    """Exclusion angles, and the source of each that is not zero: given, else those of the specification, else those of
+    the baffle, if the scenario has one.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    given : mapping, optional
+        Angle by body, degrees; None: that of the scenario.
+    """
+    angles, sources = {}, {}
+    defaults = {key.path: key.default for key in all_keys()}
+    for body in BODIES:
+        path = f"optics.baffle.{body}_exclusion_deg"
+        specified = getattr(scenario.specification, f"{body}_exclusion_deg")
+        of_baffle = (
+            0.0 if scenario.optics.baffle.pst is None else getattr(scenario.optics.baffle, f"{body}_exclusion_deg")
+        )
+        chosen = (given or {}).get(body)
+        if chosen is not None:
+            angle, source = chosen, f"--{body}-deg"
+        elif specified is not None:
+            angle, source = specified, f"specification.{body}_exclusion_deg"
+        else:
+            angle, source = of_baffle, f"{path}, {'the default' if of_baffle == defaults[path] else 'as set'}"
+        angles[f"{body}_deg"] = angle
+        if angle > 0.0:
+            sources[body] = source
+    return Exclusion(**angles, sources=sources)
+
+
+def everything_excluded(looks: Boresights, exclusion: Exclusion) -> str:
+    """Sentence with the angles that exclude every attitude: those that do so alone, otherwise all."""
+    alone = [body for body, broken in looks.excluded.items() if broken.all()]
+    return "everything is excluded by " + " and ".join(
+        exclusion.sources.get(body, body) for body in alone or looks.excluded
+    )
+
+
+def exclusion_text(body: str, angle_deg: float, source: str) -> str:
+    """An exclusion angle and where it comes from: ``within 25° of its limb (optics.baffle.earth_exclusion_deg, …)``."""
+    return f"within {angle_deg:g}° of its {'limb' if body == 'earth' else 'centre'} ({source})"

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from simulator.sky.background import ECLIPTIC, GALACTIC
+from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
 from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
+from startracker.arrays import FloatArray
 from startracker.attitude import direction_to_radec, radec_to_direction
 
 if TYPE_CHECKING:
@@ -22,14 +22,15 @@ if TYPE_CHECKING:
 
     from simulator.study.coverage.survey import Coverage
 
-__all__ = ["count_plot", "coverage_map", "magnitude_plot"]
-
-FloatArray = NDArray[np.float64]
-
 _MAP_COLUMNS, _MAP_ROWS = 720, 360
 _MOST_MINIMA_DRAWN = 60
 _HIGHEST_SHARE = 99.5
 """The colour scale ends at this percentile of the counts, so that a rich cluster does not compress it."""
+
+
+def coverage_figures(result: Coverage) -> dict[str, Figure]:
+    """All plots by the names of their files."""
+    return {"map": coverage_map(result), "counts": count_plot(result), "magnitudes": magnitude_plot(result)}
 
 
 def coverage_map(result: Coverage) -> Figure:
@@ -213,9 +214,7 @@ def _filled(ax: Axes, result: Coverage, scale: dict[str, Any]) -> Any:
 
 def _great_circle(ax: Axes, to_frame: FloatArray, style: str, colour: str, label: str) -> None:
     """Equator of a frame (rows of `to_frame`: its axes in ICRS), interrupted at the edge of the map."""
-    t = np.linspace(0.0, 2.0 * np.pi, 721)
-    circle = np.cos(t)[:, None] * to_frame[0] + np.sin(t)[:, None] * to_frame[1]
-    x, y = _plane(circle)
+    x, y = _plane(equator_of(to_frame))
     cuts = np.flatnonzero(np.abs(np.diff(x)) > np.pi / 2) + 1
     for width, ink, name in ((2.6, "white", None), (1.4, colour, label)):
         for n, (px, py) in enumerate(zip(np.split(x, cuts), np.split(y, cuts), strict=True)):

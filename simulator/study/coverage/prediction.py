@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.build import build_mounting
 from simulator.mission.clock import Clock
@@ -22,15 +21,12 @@ from simulator.study.coverage.field_counts import accumulate_information, outlin
 from simulator.study.coverage.sensitivity import build_sensitivity, nominal_rate_rad_s
 from simulator.study.specification.predicted import Predicted
 from simulator.study.specification.requirements import specification_of
+from startracker.arrays import IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.guide import RESOLVED_PX
 from startracker.catalog.voxels import voxel_grid
 from startracker.errors import InputError
-
-__all__ = ["LEAST_STARS", "Prediction", "left_out", "predict"]
-
-IntArray = NDArray[np.int64]
 
 LEAST_STARS = 2
 """Minimum number of stars of an attitude."""

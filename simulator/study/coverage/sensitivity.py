@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.build import aged_detector, build_focal_plane, build_mounting, build_orbit
 from simulator.detector.parameters import DetectorParameters
@@ -33,14 +32,11 @@ from simulator.study.trials.bounds import (
     mean_displacement_e,
     pixel_variance_e2,
 )
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.display import fields_repr
 from startracker.errors import InputError
-
-__all__ = ["Pixel", "Sensitivity", "build_sensitivity", "centroid_bound_px", "nominal_rate_rad_s"]
-
-FloatArray = NDArray[np.float64]
 
 _POSITIONS = 16
 """Number of field positions, with different sub-pixel phases, over which images and bounds are averaged."""

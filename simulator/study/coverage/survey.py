@@ -12,18 +12,25 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from simulator.build import build_camera
 from simulator.mission.clock import Clock
 from simulator.scenario import Scenario
-from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
-from simulator.study.coverage.exclusions import everything_excluded, exclusion_of, exclusion_text
+from simulator.study.coverage.boresights import (
+    Boresights,
+    Exclusion,
+    along_path,
+    everything_excluded,
+    exclusion_of,
+    exclusion_text,
+    whole_sky,
+)
 from simulator.study.coverage.field_counts import circle, count_by_level, outline, solid_angle_sr
 from simulator.study.coverage.prediction import left_out, predict
 from simulator.study.coverage.sensitivity import build_sensitivity
 from simulator.study.specification.verdicts import Judgement, judge
 from startracker._version import __version__
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.field_shape import FieldShape
@@ -32,12 +39,6 @@ from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import voxel_grid
 from startracker.display import fields_repr
 from startracker.errors import InputError
-
-__all__ = ["Coverage", "count_stars", "coverage"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 PERCENTILES = (0.1, 1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
 MOST_STARS_ASKED = 12

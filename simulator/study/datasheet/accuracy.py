@@ -7,24 +7,19 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.study.datasheet.classes import CLASSES, Separated, separate
-from simulator.study.datasheet.estimates import Estimate, rms_of, upper_limit
 from simulator.study.datasheet.scan import ScanGeometry, scan_geometry
-from simulator.study.datasheet.sheet import LEVELS, Quantity
-from simulator.study.datasheet.tasks import Columns, Task, TaskRunner
+from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, rms_of, upper_limit
+from simulator.study.datasheet.tasks import Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.intervals import ratios_of_rms
 from simulator.study.statistics import CAMERA_AXES
+from startracker.arrays import Columns, FloatArray
 from startracker.constants import ARCSEC_PER_DEG
-
-__all__ = ["Accuracy", "errors_arcsec", "measure_accuracy", "normal_factor"]
-
-FloatArray = NDArray[np.float64]
 
 RESAMPLES = 400
 """Bootstrap samples of the percentiles of the temporal noise."""

@@ -28,13 +28,10 @@ from numpy.typing import NDArray
 from scipy.signal import csd
 from scipy.signal.windows import dpss
 
-from simulator.study.datasheet.estimates import Estimate
 from simulator.study.datasheet.scan import ScanGeometry
+from simulator.study.datasheet.sheet import Estimate
 from simulator.study.intervals import moment_intervals
-
-__all__ = ["BANDWIDTH", "CLASSES", "Separated", "Spectra", "separate"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 CLASSES = ("bias", "fov_spatial", "pixel_spatial", "temporal_noise")
 """Classes that a scan separates."""

@@ -11,15 +11,22 @@ import numpy as np
 
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
-from simulator.study.datasheet.estimates import Estimate, cross_square_deg2, mean_of, proportion, rms_of, upper_limit
-from simulator.study.datasheet.plan import Amounts
-from simulator.study.datasheet.sheet import LEVELS, Quantity
-from simulator.study.datasheet.tasks import TRIALS_PER_TASK, Columns, Task, TaskRunner
+from simulator.study.datasheet.sheet import (
+    LEVELS,
+    Amounts,
+    Estimate,
+    Quantity,
+    cross_square_deg2,
+    mean_of,
+    proportion,
+    rms_of,
+    upper_limit,
+)
+from simulator.study.datasheet.tasks import TRIALS_PER_TASK, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.statistics import CAMERA_AXES
+from startracker.arrays import Columns
 from startracker.constants import ARCSEC_PER_DEG
-
-__all__ = ["Series", "residuals", "robustness", "temperature"]
 
 TEMPERATURE_STEPS_K = (-20.0, 0.0, 20.0, 40.0)
 """Temperatures of the detector relative to the scenario's."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +31,9 @@ from simulator.study.trials.trial import (
     misidentified,
     solve_frame,
 )
+from startracker.arrays import Columns, FloatArray
 from startracker.attitude import Attitude, direction_to_radec
 from startracker.solution import Solution
-
-__all__ = ["DatasheetFrames", "sequence_columns"]
-
-FloatArray = NDArray[np.float64]
-Columns = dict[str, NDArray[Any]]
 
 BORDER_PX = 3.0
 """Distance from the border of the detector within which a star may be missing in some of the passes as it enters or

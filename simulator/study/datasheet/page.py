@@ -27,8 +27,6 @@ from startracker._version import __version__
 if TYPE_CHECKING:
     from simulator.study.datasheet.run import Column, Datasheet
 
-__all__ = ["datasheet_pages"]
-
 
 def datasheet_pages(sheet: Datasheet) -> tuple[str, bytes]:
     """A complete page without scripts or external links, and the same as a PDF file of A4 pages."""

@@ -10,13 +10,10 @@ import numpy as np
 
 from simulator.build import build_mounting
 from simulator.scenario import Scenario
-from simulator.study.datasheet.estimates import Estimate, mean_of, proportion, rms_of
-from simulator.study.datasheet.plan import Amounts
-from simulator.study.datasheet.sheet import Quantity
-from simulator.study.datasheet.tasks import Columns, Task, TaskRunner, trial_tasks
+from simulator.study.datasheet.sheet import Amounts, Estimate, Quantity, mean_of, proportion, rms_of
+from simulator.study.datasheet.tasks import Task, TaskRunner, trial_tasks
+from startracker.arrays import Columns
 from startracker.constants import ARCSEC_PER_DEG
-
-__all__ = ["Limit", "acquisition", "bracket", "exclusion", "rates", "tracking"]
 
 RATES_DEG_S = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
 """Angular rates across the boresight at which errors are stated."""

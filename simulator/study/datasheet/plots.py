@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from simulator.study.datasheet.run import Column
 
-__all__ = ["panels"]
-
 LOOKS = ((BLUE, "o", "-"), (ORANGE, "s", "--"))
 """Colour, marker and line of each stage of life."""
 

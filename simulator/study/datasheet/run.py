@@ -12,9 +12,8 @@ from simulator.scenario import Scenario
 from simulator.study.datasheet.accuracy import Accuracy, measure_accuracy
 from simulator.study.datasheet.dependence import Series, residuals, robustness, temperature
 from simulator.study.datasheet.performance import acquisition, exclusion, rates, tracking
-from simulator.study.datasheet.plan import FULL, QUICK, Amounts
 from simulator.study.datasheet.scan import CUT_PERIOD_PX
-from simulator.study.datasheet.sheet import Quantity
+from simulator.study.datasheet.sheet import FULL, QUICK, Amounts, Quantity
 from simulator.study.datasheet.sky import availability, sky_coverage
 from simulator.study.datasheet.tasks import PARTS_FOLDER, TaskRunner
 from simulator.study.datasheet.timing import computing_time, timing
@@ -24,8 +23,6 @@ from simulator.study.results_folder import Identity, results_folder, scenario_sh
 from simulator.study.specification.measured import judge_frames
 from simulator.study.specification.verdicts import Judgement
 from startracker._version import __version__
-
-__all__ = ["RESULT_FILES", "Column", "Datasheet", "datasheet", "measure"]
 
 RESULT_FILES = ("datasheet.json", "datasheet.html", "datasheet.pdf", "datasheet.timing.json")
 """Files of a datasheet. All but the last are the same bytes on any machine with the same libraries, and on any number

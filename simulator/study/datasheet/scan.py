@@ -11,13 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
-
-__all__ = ["PASSES", "SAME_PIXELS", "STEP_PX", "ScanGeometry", "phase_shifts_px", "scan_attitudes", "scan_geometry"]
-
-FloatArray = NDArray[np.float64]
 
 STEP_PX = (1.184, 0.294)
 """Motion of the stars per frame along columns and rows, pixels. Of the harmonics of the pixel period, which such steps

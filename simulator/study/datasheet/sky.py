@@ -10,13 +10,9 @@ from numpy.typing import NDArray
 from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.scenario import Scenario
 from simulator.study.coverage.survey import Coverage, coverage
-from simulator.study.datasheet.estimates import Estimate, cross_square_deg2, mean_of, proportion
-from simulator.study.datasheet.plan import Amounts
-from simulator.study.datasheet.sheet import Quantity
-from simulator.study.datasheet.tasks import Columns
+from simulator.study.datasheet.sheet import Amounts, Estimate, Quantity, cross_square_deg2, mean_of, proportion
+from startracker.arrays import Columns
 from startracker.constants import ARCSEC_PER_DEG
-
-__all__ = ["availability", "sky_coverage"]
 
 STARS_NEEDED = (3, 5)
 """Numbers of detectable catalogue stars for which the coverage is stated."""

@@ -7,23 +7,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from simulator.study.datasheet.classes import CLASSES
-from simulator.study.datasheet.estimates import Estimate
-from simulator.study.datasheet.sheet import LEVELS, Quantity, select
+from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, select
 from simulator.study.datasheet.words import TERMS
 from simulator.study.html_page import Table
 from simulator.study.statistics import CAMERA_AXES
 
 if TYPE_CHECKING:
     from simulator.study.datasheet.run import Column
-
-__all__ = [
-    "accuracy_table",
-    "conditions_table",
-    "estimate_text",
-    "list_table",
-    "rate_table",
-    "terms_table",
-]
 
 UNITS = {"arcsec": "″", "deg": "°", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
 UNBROKEN = "\N{NO-BREAK SPACE}"

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.paths import make_folder, write_atomically
 from simulator.scenario import Scenario
@@ -27,11 +26,8 @@ from simulator.study.results_folder import scenario_sha256
 from simulator.study.trials.process_pool import STOP_CHECK_S, start_worker
 from simulator.study.trials.stopping import no_interrupt_for_children, stop_on_signal
 from simulator.study.trials.warm_up import warm_up
+from startracker.arrays import Columns
 from startracker.errors import BoresightError
-
-__all__ = ["PARTS_FOLDER", "TRIALS_PER_TASK", "Columns", "Interrupted", "Task", "TaskRunner", "joined", "trial_tasks"]
-
-Columns = dict[str, NDArray[Any]]
 
 PARTS_FOLDER = ".datasheet-parts"
 """Folder of finished tasks within the folder of the results."""

@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 
 from simulator.scenario import Scenario
-from simulator.study.datasheet.estimates import Estimate
-from simulator.study.datasheet.sheet import Quantity
+from simulator.study.datasheet.sheet import Estimate, Quantity
 from simulator.study.trials.trial import TrialRunner
-
-__all__ = ["computing_time", "timing"]
 
 TIMED_TRIALS = 20
 """Trials whose computing time is measured, after one for warming up."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["INTERPRETATIONS", "STANDARD", "TERMS", "Term"]
-
 STANDARD = (
     "The terms are those of ECSS-E-ST-60-20C, Star sensor terminology and performance specification. The current "
     "revision is Rev.2 (15 May 2019). Definitions marked 'read' were taken from public extracts: clauses 3.2.8.2 to "

@@ -23,8 +23,6 @@ from simulator.study.statistics import BODY_AXES
 from startracker._version import __version__
 from startracker.errors import InputError
 
-__all__ = ["DEFAULT_AVAILABILITY", "PARAMETERS", "Design", "Point", "Search", "Trade", "changed", "design"]
-
 Progress = Callable[[int], None]
 """Called with the number of values computed."""
 

@@ -18,8 +18,6 @@ from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judg
 from simulator.study.statistics import BODY_AXES
 from startracker.errors import InputError
 
-__all__ = ["Verification", "Verified", "trials_for", "verified_design", "verify"]
-
 Report = Callable[[int, float], None]
 """Called with the number of the run and its value before each run."""
 
@@ -98,6 +96,16 @@ class Verified:
         """What the runs say of the answer: ``confirmed`` if it meets the specification, or ``not contradicted`` if they
         have too few trials for that."""
         return "confirmed" if self.answer and self.answer.judgement.state == MET else "not contradicted"
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``design.json`` holds."""
+        best, answer = self.design.best, self.answer
+        last = answer or (self.runs[-1] if self.runs else None)
+        return self.design.to_dict() | {
+            "answer": answer.value if answer else best.value if best and not self.runs else None,
+            "verification": last.to_dict() if last else None,
+            "verifications": [run.to_dict() for run in self.runs],
+        }
 
     @property
     def contradicted(self) -> bool:

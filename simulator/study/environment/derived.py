@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from simulator.build import build_damage, build_detector
 from simulator.scenario import Scenario
 
-__all__ = ["aged_lines"]
-
 PERCENTILES = (50.0, 99.0, 99.9)
 """Of the dark current over the pixels: the last ones are those of hot pixels."""
 

@@ -13,9 +13,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["ageing_figure", "particles_figure"]
-
 _LEAST_CM2_S = 0.01
+
+
+def environment_figures(result: EnvironmentSurvey) -> dict[str, Figure]:
+    """All pictures by the names of their files."""
+    return {"particles": particles_figure(result), "ageing": ageing_figure(result)}
 
 
 def particles_figure(result: EnvironmentSurvey) -> Figure:

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from simulator.build import build_damage, build_orbit, orbit_radiation_of
 from simulator.environment.coefficients import COEFFICIENTS, Estimate
@@ -19,12 +18,9 @@ from simulator.mission.frames import ground_track_deg
 from simulator.mission.trajectory import Trajectory, geocentric
 from simulator.scenario import Scenario
 from startracker._version import __version__
+from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
-
-__all__ = ["EnvironmentSurvey", "Track", "survey"]
-
-FloatArray = NDArray[np.float64]
 
 ESTIMATES: tuple[Estimate, ...] = ("low", "nominal", "high")
 SHIELDS_MM = (1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0)

@@ -19,8 +19,6 @@ from typing import Any
 from startracker.errors import InputError
 from startracker.fixed_point.export_c import MODULES, CExport
 
-__all__ = ["FLAGS", "HOST", "M68K", "Build", "Target", "compile_export", "native_compiler"]
-
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 _HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign|sbrk)$")
 

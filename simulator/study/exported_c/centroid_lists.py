@@ -6,11 +6,8 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-__all__ = ["KINDS", "ListKind", "centroid_list", "list_text"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 NOISE_PX = 0.3
 """Standard deviation of each coordinate."""

@@ -11,8 +11,6 @@ from typing import TypeVar
 
 from startracker.errors import BoresightError
 
-__all__ = ["drawn_apart"]
-
 Content = TypeVar("Content")
 Page = TypeVar("Page")
 
@@ -25,19 +23,27 @@ def drawn_apart(draw: Callable[[Content], Page], content: Content) -> Page:
     BoresightError
         If the process fails (out of memory?).
     """
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    # -P: a folder of results may have the name of a module, and is not to be imported
-    command = [sys.executable, "-P", "-m", "simulator.study.report.drawing"]
-    done = subprocess.run(
-        command, input=pickle.dumps((draw, content)), capture_output=True, env=environment, check=False
-    )
-    if done.returncode != 0:
-        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {done.returncode}"]
-        raise BoresightError(f"the report could not be drawn: {lines[-1]}")
-    page: Page = pickle.loads(done.stdout)
+    page: Page = pickle.loads(in_a_process(pickle.dumps((draw, content))))
     return page
 
 
+def in_a_process(given: bytes) -> bytes:
+    """What `answer` gives, computed in a process of its own; errors as from `drawn_apart`."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    # -P: a folder of results may have the name of a module, and is not to be imported
+    command = [sys.executable, "-P", "-m", "simulator.study.report.drawing"]
+    done = subprocess.run(command, input=given, capture_output=True, env=environment, check=False)
+    if done.returncode != 0:
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {done.returncode}"]
+        raise BoresightError(f"the report could not be drawn: {lines[-1]}")
+    return done.stdout
+
+
+def answer(given: bytes) -> bytes:
+    """The page, pickled, of a pickled function and its content."""
+    draw, content = pickle.loads(given)
+    return pickle.dumps(draw(content))
+
+
 if __name__ == "__main__":
-    given_draw, given = pickle.load(sys.stdin.buffer)
-    sys.stdout.buffer.write(pickle.dumps(given_draw(given)))
+    sys.stdout.buffer.write(answer(sys.stdin.buffer.read()))

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
 from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES, Binned, error_against
 from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel
+from startracker.attitude import direction_to_radec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -275,10 +277,6 @@ def draw_time_line(columns: Columns, specification: Specification, ax: Axes) -> 
     _legend_below(ax, 0.2, 4)
 
 
-_ECLIPTIC_POLE = (270.0, 66.5607)
-_GALACTIC_POLE = (192.85948, 27.12825)  # J2000, Hipparcos catalogue vol. 1, section 1.5.3
-
-
 def draw_sky(columns: Columns, bright: StarCatalog, ax: Axes) -> None:
     """Boresights of all trials among the bright stars, Sanson–Flamsteed projection, right ascension increasing to the
     left."""
@@ -296,11 +294,8 @@ def draw_sky(columns: Columns, bright: StarCatalog, ax: Axes) -> None:
     x, y = plane(np.degrees(bright.ra_rad), np.degrees(bright.dec_rad))
     ax.scatter(x, y, s=10 ** (0.2 * (_SKY_LIMIT_MAG - bright.v_mag)), color=SOFT, linewidths=0, alpha=0.8,
                label=f"stars, V ≤ {_SKY_LIMIT_MAG:g}")  # fmt: skip
-    for label, pole, line, colour in (
-        ("ecliptic", _ECLIPTIC_POLE, "--", ORANGE),
-        ("galactic plane", _GALACTIC_POLE, ":", GREEN),
-    ):
-        x, y = plane(*_great_circle(pole))
+    for label, frame, line, colour in (("ecliptic", ECLIPTIC, "--", ORANGE), ("galactic plane", GALACTIC, ":", GREEN)):
+        x, y = plane(*np.degrees(direction_to_radec(equator_of(frame))))
         cuts = np.flatnonzero(np.abs(np.diff(x)) > 90) + 1
         for n, (px, py) in enumerate(zip(np.split(x, cuts), np.split(y, cuts), strict=True)):
             ax.plot(px, py, line, color=colour, linewidth=1.2, label=None if n else label)
@@ -324,15 +319,6 @@ def draw_sky(columns: Columns, bright: StarCatalog, ax: Axes) -> None:
     ax.set_ylabel("declination")
     ax.grid(visible=False)
     _legend_below(ax, 0.14, 6)
-
-
-def _great_circle(pole_deg: tuple[float, float]) -> tuple[NDArray[Any], NDArray[Any]]:
-    ra, dec = np.radians(pole_deg)
-    node = np.array([-np.sin(ra), np.cos(ra), 0.0])
-    third = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
-    t = np.linspace(0, 2 * np.pi, 721)[:, None]
-    circle = np.cos(t) * node + np.sin(t) * third
-    return np.degrees(np.arctan2(circle[:, 1], circle[:, 0])) % 360, np.degrees(np.arcsin(circle[:, 2]))
 
 
 def _legend_below(ax: Axes, share: float, columns: int) -> None:

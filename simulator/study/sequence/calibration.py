@@ -12,14 +12,11 @@ from scipy.special import chdtri
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.true_defects import compare_defects
+from startracker.arrays import FloatArray
 from startracker.calibration import InFlightCalibration
 from startracker.lens import value_of
 from startracker.tracker import StarTracker
 from startracker.tracking import CalibratedSession, GyroNoise, RateNoise
-
-__all__ = ["CalibratedCamera", "lens_columns"]
-
-FloatArray = NDArray[np.float64]
 
 _LISTED_DEFECTS = 200
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.study.sequence.time_axis import draw_defects, time_axis
 from simulator.study.style import BLUE, INK, Panel
+from startracker.arrays import Columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["calibration_panels", "draw_parameter"]
-
-Columns = dict[str, NDArray[Any]]
 
 _TITLES = {
     "focal_length_ppm": ("Focal length", "change [ppm]"),

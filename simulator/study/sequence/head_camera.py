@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth
 from simulator.mission.motion import MotionState, on_mounting
@@ -19,14 +18,11 @@ from simulator.scenario.schema import HeadSection
 from simulator.study.sequence.columns import NO_FRAME, camera_error_deg, error_columns, is_wrong_attitude
 from simulator.study.specification.requirements import specification_of
 from simulator.study.trials.trial import build_tracker, in_field, misidentified
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import Head
 from startracker.solution import Solution
-
-__all__ = ["BodyState", "HeadCamera"]
-
-FloatArray = NDArray[np.float64]
 
 
 class BodyState(NamedTuple):

@@ -14,10 +14,7 @@ from simulator.mission.spice import Attitudes, spice_kernels
 from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
 from simulator.study.statistics import CAMERA_AXES
-
-__all__ = ["sequence_kernels", "sequence_messages", "state_columns"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _QUATERNION = ("qx", "qy", "qz", "qw")
 

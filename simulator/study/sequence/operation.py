@@ -18,14 +18,11 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.true_defects import compare_defects
+from startracker.arrays import FloatArray
 from startracker.solution import Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.operation import SensorOperation, Verdict, image_magnitudes, saturated_near
-
-__all__ = ["DISCARDED", "SUSPENDED", "OperatedCamera", "summarise_operation"]
-
-FloatArray = NDArray[np.float64]
 
 DISCARDED = "discarded"
 """Status of a frame whose brightest stars are over-exposed."""

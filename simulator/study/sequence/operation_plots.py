@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.study.sequence.time_axis import draw_defects, time_axis
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, VERMILION, Panel
+from startracker.arrays import Columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = ["operation_panels"]
-
-Columns = dict[str, NDArray[Any]]
 
 _MARKS = {
     "exposure": (VERMILION, "v", "over-exposed: discarded"),

@@ -20,10 +20,9 @@ from simulator.study.results_folder import Identity, results_folder, scenario_sh
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.heads import HeadsRunner
-from simulator.study.sequence.heads_statistics import fused_nees, summarise_heads
 from simulator.study.sequence.messages import sequence_kernels, sequence_messages, state_columns
 from simulator.study.sequence.operation import summarise_operation
-from simulator.study.sequence.statistics import summarise_sequence
+from simulator.study.sequence.statistics import fused_nees, summarise_heads, summarise_sequence
 from simulator.study.specification.measured import judge_frames
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import median
@@ -34,15 +33,15 @@ from startracker.display import described
 from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
 
-__all__ = ["Sequence", "run_sequence"]
-
 Progress = Callable[[int, int], None]
 """Called with (frames finished, total frames)."""
 
 
-class _Others(NamedTuple):
-    """Files for other programs."""
+class _Asked(NamedTuple):
+    """What is computed and written besides the frames and their summary; see `run_sequence`."""
 
+    single: bool
+    animate: bool
     ccsds: bool
     spice: bool
 
@@ -135,14 +134,14 @@ def run_sequence(
     Ctrl-C ends the sequence after the current frame; results and files contain the frames so far, and the summary has
     ``interrupted``.
     """
-    others = _Others(ccsds, spice)
+    asked = _Asked(single, animate, ccsds, spice)
     if out is None:
-        return _run(scenario, None, single, animate, others, progress)
+        return _run(scenario, None, asked, progress)
     if spice:
         need_spiceypy()
     with results_folder(Path(out), _identity(scenario, single, scenario.sequence.frames), force=force) as folder:
         old = None if force else standing(folder, "sequence")
-        return _run(scenario, folder, single, animate, others, progress, old.amounts["frames"] if old else 0)
+        return _run(scenario, folder, asked, progress, old.amounts["frames"] if old else 0)
 
 
 def _identity(scenario: Scenario, single: bool, frames: int) -> Identity:
@@ -153,47 +152,19 @@ def _identity(scenario: Scenario, single: bool, frames: int) -> Identity:
 
 
 def _run(
-    scenario: Scenario,
-    folder: Path | None,
-    single: bool,
-    animate: bool,
-    others: _Others,
-    progress: Progress | None,
-    frames_standing: int = 0,
+    scenario: Scenario, folder: Path | None, asked: _Asked, progress: Progress | None, frames_standing: int = 0
 ) -> Sequence:
-    requested = scenario.sequence.frames
-    if single and scenario.heads:
+    if asked.single and scenario.heads:
         raise InputError("single: the heads are solved frame by frame; omit --single")
-    runner = HeadsRunner(scenario) if scenario.heads else SequenceRunner(scenario, single=single)
-    started = clock()
-    pieces: list[pa.Table] = []
-    rows: list[dict[str, Any]] = []
-    views: list[FrameView] = []
-    done = 0
-    if progress:
-        progress(0, requested)
-    with stop_on_signal() as stop:
-        for tracked in runner.frames():
-            rows.append(tracked.row)
-            done += 1
-            if animate:
-                views.append(view_of(tracked))
-            if len(rows) == _FLUSH_FRAMES:
-                pieces.append(table_of(rows))
-                rows = []
-            if progress:
-                progress(done, requested)
-            if stop.is_set():
-                break
+    runner = HeadsRunner(scenario) if scenario.heads else SequenceRunner(scenario, single=asked.single)
+    requested, started = scenario.sequence.frames, clock()
+    table, views = _tracked(runner, requested, asked.animate, progress)
+    elapsed_s, done = clock() - started, table.num_rows
     if done < frames_standing:
         raise BoresightError(
             f"interrupted after {done} frames; {folder} still contains the "
             f"results of an earlier run of {frames_standing}"
         )
-    if rows:
-        pieces.append(table_of(rows))
-    elapsed_s = clock() - started
-    table = pa.concat_tables(pieces)
     for name, column in state_columns(scenario, table["t_s"].to_numpy()).items():
         table = table.append_column(name, pa.array(column))
     sequence = Sequence(scenario, table, {}, folder)
@@ -203,7 +174,7 @@ def _run(
         seed=scenario.seed,
         version=__version__,
         finished_utc=now_utc(),
-        identity=_identity(scenario, single, done).to_dict(),
+        identity=_identity(scenario, asked.single, done).to_dict(),
         requested=requested,
         interrupted=done < requested,
         **summarise_sequence(columns, scenario.sequence.step_s, sequence.judgement),
@@ -219,10 +190,34 @@ def _run(
         sequence.summary["in_flight_calibration"] = runner.calibrated.summarise(columns)
     if folder is None:
         return sequence
-    return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views, others))
+    return Sequence(scenario, table, sequence.summary, folder, _write(sequence, folder, views, asked))
 
 
-def _write(sequence: Sequence, folder: Path, views: list[FrameView], others: _Others) -> tuple[str, ...]:
+def _tracked(
+    runner: HeadsRunner | SequenceRunner, requested: int, animate: bool, progress: Progress | None
+) -> tuple[pa.Table, list[FrameView]]:
+    """Rows of the frames until the end or Ctrl-C, and their pictures for the animation."""
+    pieces: list[pa.Table] = []
+    rows: list[dict[str, Any]] = []
+    views: list[FrameView] = []
+    if progress:
+        progress(0, requested)
+    with stop_on_signal() as stop:
+        for done, tracked in enumerate(runner.frames(), 1):
+            rows.append(tracked.row)
+            if animate:
+                views.append(view_of(tracked))
+            if len(rows) == _FLUSH_FRAMES:
+                pieces.append(table_of(rows))
+                rows = []
+            if progress:
+                progress(done, requested)
+            if stop.is_set():
+                break
+    return pa.concat_tables([*pieces, *([table_of(rows)] if rows else [])]), views
+
+
+def _write(sequence: Sequence, folder: Path, views: list[FrameView], asked: _Asked) -> tuple[str, ...]:
     """Write the result files atomically."""
     from simulator.study.sequence.page import sequence_html
 
@@ -238,9 +233,9 @@ def _write(sequence: Sequence, folder: Path, views: list[FrameView], others: _Ot
         program = find_ffmpeg()
         if program is not None:
             files["sequence.mp4"] = mp4_bytes(views, sequence.columns, sequence.scenario.name, program)
-    if others.ccsds:
+    if asked.ccsds:
         files |= sequence_messages(sequence.scenario, sequence.columns, sequence.summary["finished_utc"])
-    if others.spice:
+    if asked.spice:
         files |= sequence_kernels(sequence.scenario, sequence.columns)
     write_files(folder, files)
     return tuple(files)

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from simulator.renderer import Renderer
 
-__all__ = ["compare_defects", "true_defects"]
-
 BoolImage = NDArray[np.bool_]
 
 

@@ -8,18 +8,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from simulator.build import sequence_motion
+from simulator.mission.attitude_table import QUATERNION_COLUMNS, continuous
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H
 from simulator.mission.motion import MotionState, motion
 from simulator.mission.pointing import Pointing, hold, point, point_by, point_spinning
+from simulator.mission.tables import read_rows
 from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.schema import SequenceSection
 from simulator.scene import SceneBuilder
+from startracker.attitude import Attitude
+from startracker.errors import InputError
 from startracker.tracking import GyroNoise, RateNoise
 
-__all__ = ["jitter_at", "process_noise", "start_pointing", "states_at"]
+RECORDED_COLUMNS = (*QUATERNION_COLUMNS, "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
+"""Columns of ``sequence.recording``: quaternion ICRS to camera and inertial rate in camera axes."""
+_SAME_TIME_S = 1e-6
 
 _LEAST_WALK = 1e-6
 """Minimum disturbance, rad/s/√s, assumed by the filter: a freely drifting body."""
@@ -45,6 +51,32 @@ def start_pointing(scenario: Scenario, renderer: Renderer) -> Pointing:
 def states_at(scenario: Scenario, scenes: SceneBuilder, start: Pointing, since_s: Sequence[float]) -> list[MotionState]:
     """True states without jitter at times after the first frame, ascending, from 0."""
     return motion(scenario.pointing, sequence_motion(scenario.sequence), scenes.orbit, start, since_s, scenes.law)
+
+
+def recorded_states(scenario: Scenario, scenes: SceneBuilder, since_s: Sequence[float]) -> list[MotionState]:
+    """True states without jitter, on the actual mounting, of the table ``sequence.recording``.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be used, or whose times are not those of the frames.
+    """
+    section = scenario.sequence
+    path = scenario.base_dir / str(section.recording)
+    t_s, values, positions = read_rows(path, scenes.clock, RECORDED_COLUMNS)
+    if len(t_s) < len(since_s):
+        raise InputError(f"{path}: has {len(t_s)} of {len(since_s)} frames; sequence.frames may be {len(t_s)} at most")
+    continuous(values[:, :4], positions)
+    states = []
+    for k, since in enumerate(since_s):
+        at_s = section.start_s + since
+        if abs(at_s - t_s[k]) > _SAME_TIME_S:
+            raise InputError(
+                f"{positions[k]}: t_s is {t_s[k]:.9g}, but frame {k} is at {at_s:.9g} s; sequence.start_s and step_s "
+                "must be those of the recording"
+            )
+        states.append(MotionState(at_s, Attitude(values[k, :4].copy()), values[k, 4:]))
+    return states
 
 
 def jitter_at(scenario: Scenario, scenes: SceneBuilder, since_s: Sequence[float]) -> list[JitterMotion]:

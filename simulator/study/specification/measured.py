@@ -23,12 +23,9 @@ from simulator.study.specification.requirements import (
     specification_of,
 )
 from simulator.study.specification.verdicts import Estimate, Judgement, judge
+from startracker.arrays import BoolArray, FloatArray
 from startracker.attitude import radec_to_direction
 
-__all__ = ["JUDGED_COLUMNS", "RATE_BAND", "Measured", "Setting", "judge_frames", "setting_of"]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Columns = Mapping[str, NDArray[Any]]
 
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")

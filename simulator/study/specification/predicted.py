@@ -11,17 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import erf
 
 from simulator.study.specification.measured import RATE_BAND, untested_rate
 from simulator.study.specification.requirements import AVAILABILITY, Requirement, Specification
 from simulator.study.specification.verdicts import Estimate
-
-__all__ = ["Predicted", "across_percentile", "axis_percentile"]
-
-FloatArray = NDArray[np.float64]
+from startracker.arrays import FloatArray
 
 _BODY_AXES = ("roll", "pitch", "yaw")
 _CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")

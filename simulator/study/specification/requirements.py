@@ -13,16 +13,6 @@ from numpy.typing import NDArray
 from simulator.scenario import Scenario
 from simulator.scenario.schema_specification import SPECIFIED_AXES
 
-__all__ = [
-    "ACQUISITION",
-    "AVAILABILITY",
-    "WRONG_RATE",
-    "Requirement",
-    "Specification",
-    "error_about",
-    "specification_of",
-]
-
 AVAILABILITY, WRONG_RATE, ACQUISITION = "availability", "wrong_rate", "acquisition"
 """Names of the requirements that are not on errors."""
 

@@ -21,18 +21,6 @@ from simulator.study.specification.requirements import (
 )
 from simulator.study.texts import deg_text, percent_text
 
-__all__ = [
-    "MET",
-    "NOT_MET",
-    "UNDECIDED",
-    "Estimate",
-    "Evidence",
-    "Judgement",
-    "Verdict",
-    "frames_needed",
-    "judge",
-]
-
 MET, NOT_MET, UNDECIDED = "met", "not met", "undecided"
 """Verdicts, on a requirement and on a specification."""
 

@@ -17,8 +17,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["as_array", "as_column", "read_columns", "table_of"]
-
 _FLOATS = {"halffloat": "float16", "float": "float32", "double": "float64"}
 """Names of Arrow's floating-point types in NumPy; those of integers are equal."""
 

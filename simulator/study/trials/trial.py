@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.frame import Frame, FrameTruth, TrueSources
 from simulator.randomness import stream
@@ -16,8 +15,8 @@ from simulator.sky.background import GALACTIC
 from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
-from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
-from simulator.study.trials.systematic import explained_deg
+from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources, pixel_slopes
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -26,8 +25,37 @@ from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+
+def systematic_turn_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
+    """Error of the attitude about the camera's axes (3,), degrees, without any noise.
+
+    (Σ JᵀJ)⁻¹ Σ Jᵀd of displacements d from the positions of the calibrated camera, with equal weights, minus the rate
+    times the error of the time. Zero for a camera without systematic errors.
+
+    Parameters
+    ----------
+    renderer, truth
+        Renderer of the scenario, and a frame's truth.
+    stars : (N,) int array
+        Rows of the true sources that the tracker used.
+    """
+    plane, sources = renderer.focal_plane.at(truth.t_s), truth.sources
+    turn = -truth.rate_camera_rad_s * truth.time_tag_error_s
+    if (plane.true_camera is not plane.camera or not plane.displacement.is_off) and len(stars) > 1:
+        directions = truth.attitude.apply(sources.direction[stars])
+        slopes = pixel_slopes(plane.camera, directions)
+        displaced = sources.xy[stars] - plane.camera.project(directions)
+        normal = np.einsum("nji,njk->ik", slopes, slopes)
+        turn = turn + np.linalg.lstsq(normal, np.einsum("nji,nj->i", slopes, displaced), rcond=None)[0]
+    return np.asarray(np.degrees(turn))
+
+
+def explained_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray, bound_deg: FloatArray) -> FloatArray:
+    """Standard deviations (3,), degrees, that noise and known systematic errors explain about the camera's axes; the
+    bound (3,) of the noise itself for a camera without systematic errors."""
+    turn_deg = systematic_turn_deg(renderer, truth, stars)
+    return np.hypot(bound_deg, turn_deg) if turn_deg.any() else bound_deg
+
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker with a column of their times; these, ``render_ms`` and ``solve_ms`` are the only columns that
@@ -35,7 +63,6 @@ may differ between runs of the same scenario and seed."""
 
 _ERRORS = (*CAMERA_AXES, *BODY_AXES)
 _ERROR_COLUMNS = tuple(f"error_{axis}_deg" for axis in _ERRORS)
-_TRUE_QUATERNION = tuple(f"true_q{axis}" for axis in "xyzw")
 _SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
 _BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
 
@@ -82,6 +109,15 @@ def attitude_errors_deg(
         nominal = turn.inverse @ mounting
         body = np.degrees((turn.inverse @ truth).rotation_vector_to(estimate)) @ nominal.as_matrix()
     return dict(zip(_ERRORS, camera.tolist() + body.tolist(), strict=True))
+
+
+def attitude_columns(prefix: str, attitude: Attitude | None) -> dict[str, float]:
+    """Columns of direction and quaternion of an attitude; NaN for None."""
+    values = [math.nan] * 7
+    if attitude is not None:
+        values = [attitude.ra_deg, attitude.dec_deg, attitude.roll_deg, *attitude.quat.tolist()]
+    names = ("ra_deg", "dec_deg", "roll_deg", "qx", "qy", "qz", "qw")
+    return dict(zip((f"{prefix}{name}" for name in names), values, strict=True))
 
 
 def mounting_columns(rotation_rad: FloatArray | None) -> dict[str, float]:
@@ -164,12 +200,8 @@ class TrialRunner:
             "reason": solution.reason,
             "wrong": False,
             "beyond_specification": False,
-            "true_ra_deg": true.ra_deg,
-            "true_dec_deg": true.dec_deg,
-            "true_roll_deg": true.roll_deg,
         }
-        row |= zip(_TRUE_QUATERNION, true.quat.tolist(), strict=True)
-        row |= {
+        row |= attitude_columns("true_", true) | {
             "galactic_latitude_deg": galactic_latitude_deg(true),
             "orbit_argument_deg": instant.orbit_argument_deg,
             "latitude_deg": instant.latitude_deg,
@@ -180,17 +212,13 @@ class TrialRunner:
         }
         row |= mounting_columns(truth.mounting_rotation_rad)
         errors = dict.fromkeys(_ERRORS, math.nan)
-        sigma, estimate = [math.nan] * 3, [math.nan] * 4
-        pointing = (math.nan, math.nan, math.nan)
+        sigma = [math.nan] * 3
         if solution.attitude is not None:
             errors = attitude_errors_deg(true, solution.attitude, truth.mounting, truth.mounting_rotation_rad)
             row["beyond_specification"] = beyond_specification(errors, self.specification)
-            estimate = solution.attitude.quat.tolist()
-            pointing = (solution.attitude.ra_deg, solution.attitude.dec_deg, solution.attitude.roll_deg)
             if solution.covariance is not None:
                 sigma = [math.degrees(math.sqrt(variance)) for variance in solution.covariance.diagonal().tolist()]
-        row |= zip(("ra_deg", "dec_deg", "roll_deg"), pointing, strict=True)
-        row |= zip(("qx", "qy", "qz", "qw"), estimate, strict=True)
+        row |= attitude_columns("", solution.attitude)
         row |= zip(_ERROR_COLUMNS, errors.values(), strict=True)
         row |= zip(_SIGMA, sigma, strict=True)
         fitted = solution.stars.fitted

@@ -21,8 +21,6 @@ from startracker.camera import Camera
 from startracker.errors import BoresightError
 from startracker.kernels import is_compiled
 
-__all__ = ["compiling_beside", "warm_up"]
-
 _TASK = "run"
 _ORION_RA_DEG, _ORION_DEC_DEG = 83.0, 0.0
 

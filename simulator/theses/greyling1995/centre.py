@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
 from simulator.theses.greyling1995.star_images import Path, star_stamps
-from simulator.theses.tables import FloatArray, IntArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.bias import moment_bias
 
 LISTING_SIGMA, LISTING_SEED, LISTING_PEAK = 1.325, 5, 10.0

@@ -18,7 +18,8 @@ from simulator.theses.greyling1995.star_images import (
     tracker_errors,
 )
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 from startracker.centroid.bias import moment_bias
 
 TABLE_4_1 = (

@@ -19,7 +19,8 @@ from simulator.study.coverage.survey import count_stars
 from simulator.theses.figures import draw, section_of
 from simulator.theses.greyling1995.path import DECLINATION_DEG
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, IntArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import IntArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import IntArray
 from startracker.attitude import radec_to_direction
 from startracker.catalog import StarCatalog, load_catalog
 from startracker.catalog.guide import RESOLVED_PX

@@ -19,7 +19,8 @@ from simulator.randomness import stream
 from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.guide_stars import BORESIGHT_DEC_DEG, FIELD_DEG, SIDE_PX, map_lines
 from simulator.theses.printed import Section
-from simulator.theses.tables import IntArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import IntArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog

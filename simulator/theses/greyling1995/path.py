@@ -17,10 +17,11 @@ from simulator.mission.parameters import OrbitParameters, PointingParameters
 from simulator.mission.pointing import BoresightPath, boresight_path, local_level, mounting_of
 from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.mission.secular import mean_motion, sun_synchronous_inclination
-from simulator.sky.background import ECLIPTIC, GALACTIC
+from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
 
@@ -204,7 +205,6 @@ def _map_values() -> Values:
 
 def _great_circle(to_frame: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Equator of a frame (rows of `to_frame`: its axes in ICRS) in the map, starting at its first right ascension."""
-    t = np.linspace(0.0, 2.0 * np.pi, 721)
-    ra, dec = np.degrees(direction_to_radec(np.cos(t)[:, None] * to_frame[0] + np.sin(t)[:, None] * to_frame[1]))
+    ra, dec = np.degrees(direction_to_radec(equator_of(to_frame)))
     order = np.argsort(ra % 360.0)
     return sanson_flamsteed((ra % 360.0)[order], dec[order])

@@ -10,7 +10,6 @@ import numpy as np
 from simulator.scenario.physics import violations
 from simulator.sky.colours import spectral_coordinates
 from simulator.theses.figures import section_of
-from simulator.theses.greyling1995 import spectral
 from simulator.theses.greyling1995.noise import BRIGHTEST_V, FAINTEST_V
 from simulator.theses.greyling1995.starlight import (
     BANDS_UM,
@@ -19,12 +18,15 @@ from simulator.theses.greyling1995.starlight import (
     SATURATION_MV,
     VOLT_PER_E,
     camera_mv,
+    eye_response,
     irradiance_w_cm2_um,
     second_script_mv,
+    spectral_values,
     thesis_mv,
 )
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 from startracker.catalog import load_catalog
 
 ZERO_LUX = -13.94188
@@ -50,14 +52,14 @@ def section() -> Section:
     values |= {"faint": partial(_voltages, FAINTEST_V), "brightest": partial(_voltages, BRIGHTEST_V)}
     title = "Chapter 3.4: starlight, output voltage and the lens"
     tables = "greyling1995/spectral", "greyling1995/photometry"
-    return section_of("greyling1995/photometry", title, spectral.values() | values, tables)
+    return section_of("greyling1995/photometry", title, spectral_values() | values, tables)
 
 
 def illuminance_lux(*, night: bool = False) -> float:
     """Illuminance of an A0V star of V = 0: K_m ∫ E_λ V_λ dλ, from the product's spectrum, photopic or scotopic."""
     wavelength_nm = np.arange(360.0, 831.0)
     watt_m2_nm = irradiance_w_cm2_um(wavelength_nm, 0.0, 0.0, 0.0) * 1e4 * 1e-3
-    efficiency = spectral.eye_response(wavelength_nm, night=night)
+    efficiency = eye_response(wavelength_nm, night=night)
     return float(LUMEN_PER_WATT[night] * np.trapezoid(efficiency * watt_m2_nm, wavelength_nm))
 
 

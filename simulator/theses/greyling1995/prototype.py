@@ -15,9 +15,17 @@ from simulator.optics.shutter import frame_transfer_smear
 from simulator.optics.splat import render_stars
 from simulator.theses.figures import figures
 from simulator.theses.greyling1995 import signals
-from simulator.theses.greyling1995.comparators import compare_levels, even_levels
-from simulator.theses.greyling1995.converter import BITS, converter_trials
-from simulator.theses.greyling1995.holes import SLOW_CLOCK_HZ, camera, memory_image, scene, smear_share
+from simulator.theses.greyling1995.converter import (
+    BITS,
+    SLOW_CLOCK_HZ,
+    camera,
+    compare_levels,
+    converter_trials,
+    even_levels,
+    memory_image,
+    scene,
+    smear_share,
+)
 from simulator.theses.greyling1995.sequencer import (
     COLUMNS,
     COUNTS_PER_LINE,

@@ -19,7 +19,8 @@ from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
 from simulator.theses.greyling1995.star_images import star_stamps
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, IntArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -71,16 +72,6 @@ def _direction(diameter_px: float, sigma_px: float, *, sigma_known: bool) -> Flo
     basis, _ = np.linalg.qr(np.stack([u.ravel() for u in unknown], axis=1))
     difference = (disk_stamp(diameter_px, 0.0, sigma_px) - star).ravel()
     return np.asarray(difference - basis @ (basis.T @ difference)).reshape(star.shape)
-
-
-def is_planet_score(stamp: FloatArray, noise: float) -> float:
-    """Correlation of a 5 × 5 image with the signature of a disk, in standard deviations of the noise: 0 ± 1 for a star.
-
-    The two-dimensional correlation of the thesis, after removal of a star's brightness, position and background. The
-    image is centred to a small fraction of a pixel; `noise` is the standard deviation of a pixel in its unit.
-    """
-    direction = _direction(0.5, THESIS_SIGMA, sigma_known=True)
-    return float((stamp * direction).sum() / (noise * np.linalg.norm(direction)))
 
 
 def planet_detectability(diameter_px: float, snr_db: float, *, sigma_known: bool = True) -> float:

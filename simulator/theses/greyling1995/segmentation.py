@@ -16,7 +16,8 @@ from simulator.sky.ephemeris import barycentric_position_au
 from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 from startracker.constants import AU_KM
 from startracker.detection import Background, Spots, estimate, grow_regions
 from startracker.detection.region_growing import grow_objects

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulator.theses.tables import FloatArray
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
 
 LINES = 165

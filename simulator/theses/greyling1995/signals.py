@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.theses.greyling1995.comparators import compare_levels, even_levels
+from simulator.theses.greyling1995.converter import compare_levels, even_levels
 from simulator.theses.greyling1995.sequencer import (
     COUNTS_PER_LINE,
     DUMMY_CELLS,
@@ -16,7 +16,8 @@ from simulator.theses.greyling1995.sequencer import (
     expose,
     next_state,
 )
-from simulator.theses.tables import FloatArray, Values
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 
 CONTROL = {0x300: "Camera", 0x302: "PC", 0x304: "Reset", 0x306: "Go"}
 """Table 6.1: bus addresses and the effect of a write to them."""

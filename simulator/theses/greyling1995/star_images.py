@@ -13,13 +13,14 @@ from simulator.optics.smear import exposure_nodes
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
-from simulator.theses.tables import FloatArray
+from startracker.arrays import FloatArray
 from startracker.centroid import METHODS
 from startracker.centroid.bias import moment_bias
 from startracker.centroid.window import Pixels, read_window
 from startracker.detection import find_components
 from startracker.detection.plane import as_plane
 from startracker.front_end import Clock, find_stars
+from startracker.given_image import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings
 
 _HALF = 2
@@ -122,7 +123,8 @@ def tracker_errors(
         image += stream(1, "greyling1995 noisy frame").uniform(-amplitude, amplitude, image.shape)
     settings = DetectionSettings(max_stars=2 * len(truth))
     frame = image.astype(np.float32)
-    xy = find_stars(frame, find_components, METHODS[centroider], settings, CentroidSettings(), Clock()).xy
+    found = find_stars(GivenImage(frame), find_components, METHODS[centroider], settings, CentroidSettings(), Clock())
+    xy = found.xy
     if not len(xy):
         return np.empty((0, 2))
     away = xy[None] - truth[:, None]

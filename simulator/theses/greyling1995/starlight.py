@@ -2,7 +2,7 @@
 
 Volts per pixel: U = K n t A ∫ E_λ λ/(hc) η dλ / P, with K volts per electron, P the number of pixels of the image, and
 the irradiance E_λ ∝ 10^(−0.4 V). The first script of `ccdmag.m` in the thesis has an additional factor λ, in µm; a
-second one in the same listing does not.
+second one in the same listing does not. At the end the spectral responses of eye and CCD (Figs. 2.2, 3.10, 3.11).
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from simulator.optics.curves import Curve, load_curve
 from simulator.sky.library import HC_J_NM
 from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import colour_sequence
-from simulator.theses.tables import FloatArray
+from simulator.theses.tables import Values
+from startracker.arrays import FloatArray
 
 BANDS_UM = np.array([0.44, 0.55, 0.64, 0.79, 1.25])
 IRRADIANCE_W_CM2_UM = np.array([6.6, 3.6, 2.25, 1.22, 0.292]) * 1e-12
@@ -116,3 +117,51 @@ def irradiance_w_cm2_um(wavelength_nm: FloatArray, v_mag: float, b_v: float, gia
     """Spectral irradiance (W,) of a star of a colour and class, W cm⁻² µm⁻¹: photons × hc/λ."""
     photons = colour_sequence(wavelength_nm, np.array([b_v]), np.array([giant]))[0]
     return np.asarray(photons * HC_J_NM / wavelength_nm * 1e3 * 10.0 ** (-0.4 * v_mag))
+
+
+WAVELENGTH_NM: FloatArray = np.arange(360.0, 1251.0)
+ELEMENTARY_CHARGE_C = 1.602176634e-19
+
+
+def eye_response(wavelength_nm: FloatArray = WAVELENGTH_NM, *, night: bool = False) -> FloatArray:
+    """Luminous efficiency (W,) of the eye, 1 at the peak, photopic (CIE 1924) or at night scotopic (CIE 1951); 0
+    outside the table."""
+    from colour.colorimetry import SDS_LEFS_PHOTOPIC, SDS_LEFS_SCOTOPIC
+
+    day_table = SDS_LEFS_PHOTOPIC["CIE 1924 Photopic Standard Observer"]
+    table = SDS_LEFS_SCOTOPIC["CIE 1951 Scotopic Standard Observer"] if night else day_table
+    return np.asarray(np.interp(wavelength_nm, table.wavelengths, table.values, left=0.0, right=0.0))
+
+
+def ccd_efficiency(wavelength_nm: FloatArray = WAVELENGTH_NM, name: str = "tc211") -> FloatArray:
+    """Quantum efficiency (W,) of a detector of the product's library, electrons per photon."""
+    return np.asarray(load_curve(name, "quantum_efficiency")(wavelength_nm), dtype=float)
+
+
+def ccd_response_a_w(wavelength_nm: FloatArray = WAVELENGTH_NM, name: str = "tc211") -> FloatArray:
+    """Response (W,), amperes per watt: R = η q λ / (h c)."""
+    return np.asarray(ccd_efficiency(wavelength_nm, name) * ELEMENTARY_CHARGE_C * wavelength_nm / HC_J_NM)
+
+
+def _peak_nm(values: FloatArray) -> float:
+    return float(WAVELENGTH_NM[int(np.argmax(values))])
+
+
+def spectral_values() -> Values:
+    """The curves, their peaks, and the longest wavelength at which the TC211's response is half of its peak."""
+    eye, tc211, ccd44 = eye_response(), ccd_response_a_w(), ccd_response_a_w(name="ccd44_82")
+    return {
+        "eye_peak_nm": _peak_nm(eye),
+        "response_peak_nm": _peak_nm(tc211),
+        "ccd44_peak_nm": _peak_nm(ccd44),
+        "half_nm": float(WAVELENGTH_NM[np.flatnonzero(tc211 >= 0.5 * tc211.max())[-1]]),
+        "efficiency_peak_um": 1e-3 * _peak_nm(ccd_efficiency()),
+        "um": WAVELENGTH_NM / 1e3,
+        "eye": eye,
+        "tc211": tc211,
+        "relative": {"tc211": tc211 / tc211.max(), "ccd44": ccd44 / ccd44.max()},
+        "efficiency_percent": 100.0 * ccd_efficiency(),
+        "bands_um": BANDS_UM,
+        "script_percents": (100.0 * EFFICIENCY, 100.0 * SECOND_EFFICIENCY),
+        "second_photons": 0.5 * (ELEMENTARY_CHARGE_C * WAVELENGTH_NM / HC_J_NM),
+    }

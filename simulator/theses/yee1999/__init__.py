@@ -9,19 +9,17 @@ from collections.abc import Callable
 
 from simulator.theses.printed import PrintedStudy, Section, run_sections
 from simulator.theses.yee1999 import (
-    deneb_sadr,
     examples,
     integer_build,
     integers,
+    rendered,
     rendered_flight,
-    rendered_vega,
     run_times,
     threshold_sweep,
-    video_field,
+    vega_tables,
 )
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
 from simulator.theses.yee1999.subsets import three_star_subsets
-from simulator.theses.yee1999.vega_tables import vega_tables
 
 __all__ = ["SECTIONS", "Analysis", "Options", "Picture", "analyse", "centred", "run", "step_tables", "vega"]
 
@@ -33,13 +31,13 @@ SECTIONS: dict[str, Callable[[], Section]] = {
     "integers": integers.integers,
     "build": integer_build.integer_build,
     "times": run_times.run_times,
-    "vega": vega_tables,
-    "deneb": deneb_sadr.deneb_tables,
-    "sadr": deneb_sadr.sadr_tables,
-    "votes": deneb_sadr.recommendations,
+    "vega": vega_tables.vega_tables,
+    "deneb": vega_tables.deneb_tables,
+    "sadr": vega_tables.sadr_tables,
+    "votes": vega_tables.recommendations,
     "subsets": three_star_subsets,
-    "field": video_field.video_field,
-    "rendered_vega": rendered_vega.section,
+    "field": rendered_flight.video_field,
+    "rendered_vega": rendered.section,
     "rendered_flight": rendered_flight.section,
     "thresholds": threshold_sweep.section,
 }
@@ -53,5 +51,8 @@ def run(
 
     The identified Vega image may be given; otherwise it is identified again.
     """
-    sections = SECTIONS | {"vega": lambda: vega_tables(analysis), "subsets": lambda: three_star_subsets(analysis)}
+    sections = SECTIONS | {
+        "vega": lambda: vega_tables.vega_tables(analysis),
+        "subsets": lambda: three_star_subsets(analysis),
+    }
     return run_sections("yee1999", TITLE, sections, only, progress)

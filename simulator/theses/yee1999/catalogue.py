@@ -9,7 +9,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from simulator.theses.tables import FloatArray, IntArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
 from startracker.errors import InputError
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic

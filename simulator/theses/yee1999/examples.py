@@ -14,8 +14,6 @@ from startracker.fixed_point.formats import ANGLE
 from startracker.identification.arithmetic import FloatArithmetic
 from startracker.identification.triad_tables import TriadTables
 
-__all__ = ["cassiopeia", "rotation_example"]
-
 
 def cassiopeia() -> Section:
     """Sub-catalogue, separations and enclosed angles of HR 21, 168, 264, 403 and 542."""

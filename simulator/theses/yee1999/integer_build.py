@@ -19,10 +19,11 @@ from simulator.study.exported_c.build import M68K, Build, Target, compile_export
 from simulator.study.exported_c.centroid_lists import centroid_list, list_text
 from simulator.theses.figures import figures
 from simulator.theses.printed import Section
-from simulator.theses.tables import FloatArray, Values, table_rows
+from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import sub_catalog
-from simulator.theses.yee1999.fixed_centroids import fixed_centroids
+from simulator.theses.yee1999.integers import fixed_centroids
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Picture, vega
+from startracker.arrays import FloatArray
 from startracker.attitude import radec_to_direction
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulator.theses.tables import FloatArray
 from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
 from startracker.estimation.plate import Plate, solve_plate
 from startracker.identification.arithmetic import Arithmetic

@@ -1,0 +1,1 @@
+"""Missions that run live: stepped by a clock, or by another simulator."""
