@@ -149,15 +149,15 @@ def _without_earth(scenario: Scenario) -> bool:
     return study.sampling == "sky" and study.sky_without_earth and scenario.pointing.target is None
 
 
-def build_scenes(scenario: Scenario) -> SceneBuilder:
-    """Orbit, pointing and sky of a scenario.
+def build_scenes(scenario: Scenario, trajectory: Trajectory | None = None) -> SceneBuilder:
+    """Orbit, pointing and sky of a scenario; `trajectory` replaces its orbit.
 
     Raises
     ------
     InputError
         For a target that is not in its sky, or names or files that cannot be used.
     """
-    orbit, detector = build_orbit(scenario), scenario.detector
+    orbit, detector = trajectory or build_orbit(scenario), scenario.detector
     margin_lines = detector.height + 2 * _LARGEST_IMAGE_PX if detector.shutter == "rolling" else 0
     parameters = SceneParameters(
         seed=scenario.seed,

@@ -22,6 +22,7 @@ from simulator.detector.readout import electronics_noise_e
 from simulator.exposure import Exposure
 from simulator.focal_plane import Illumination
 from simulator.frame import Frame, FrameTruth
+from simulator.mission.trajectory import Trajectory
 from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
@@ -69,6 +70,8 @@ class Renderer:
     camera_seed : int, optional
         Seed of the camera's own properties and of the noise of its frames, instead of the scenario's: one of several
         cameras under the same sky.
+    trajectory : Trajectory, optional
+        Trajectory of the spacecraft instead of the scenario's orbit.
 
     Raises
     ------
@@ -76,12 +79,15 @@ class Renderer:
         For invalid names or files in the scenario.
     """
 
-    def __init__(self, scenario: Scenario, camera_seed: int | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, camera_seed: int | None = None, trajectory: Trajectory | None = None
+    ) -> None:
         self.scenario = scenario
         self.seed = scenario.seed if camera_seed is None else camera_seed
         self.exposure_s = scenario.detector.exposure_s
         self.shutter = shutter_of(scenario.detector)
-        self.scenes = build_scenes(scenario)
+        self._trajectory = trajectory
+        self.scenes = build_scenes(scenario, trajectory)
         self.focal_plane = build_focal_plane(scenario, self.seed)
         self.camera = self.focal_plane.camera
         self.detector = build_detector(scenario, self.seed)
@@ -103,7 +109,7 @@ class Renderer:
         other.scenario, other.parameters = scenario, flat_parameters(scenario)
         other.exposure_s, other.shutter = scenario.detector.exposure_s, shutter_of(scenario.detector)
         if not _only(values, ("optics.", "detector.", "environment."), _OF_SCENES):
-            other.scenes = build_scenes(scenario)
+            other.scenes = build_scenes(scenario, self._trajectory)
         if not _only(values, _OF_READOUT):
             other.focal_plane = build_focal_plane(scenario, self.seed)
             other.camera = other.focal_plane.camera

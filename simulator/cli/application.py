@@ -26,6 +26,7 @@ from simulator.cli.requests import (
     SolveRequest,
     SweepRequest,
 )
+from simulator.cli.stimulate_command import stimulate_app
 from simulator.cli.study_command import study_app
 from simulator.cli.suggesting import SuggestingGroup, usage_error_line
 from startracker._version import __version__
@@ -139,6 +140,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
 for _name, _function, _group, _example in _COMMANDS:
     app.command(_name, rich_help_panel=_group, epilog=f"Example: {_example}")(_function)
 app.add_typer(study_app, name="study", rich_help_panel=_SIMULATE)
+app.add_typer(stimulate_app, name="stimulate", rich_help_panel=_SIMULATE)
 
 
 @contextmanager

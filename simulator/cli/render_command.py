@@ -24,7 +24,7 @@ def main(request: RenderRequest) -> int:
         raise InputError("--index and --at: give one of the two")
     at_least(0, index=request.index)
     index = request.index or 0
-    attitude = _parse_pointing(request.pointing) if request.pointing else None
+    attitude = parse_pointing(request.pointing) if request.pointing else None
     when = utc_time("--at", request.at) if request.at else None
     scenarios = [load_scenario(path, request.set_values or (), seed=request.seed) for path in request.scenarios]
     for scenario in scenarios:
@@ -80,7 +80,8 @@ def _in_field(frame: Frame, truth: FrameTruth) -> str:
     return " and ".join([f"{int(np.sum(kind == 'star'))} stars", *bodies])
 
 
-def _parse_pointing(text: str) -> Attitude:
+def parse_pointing(text: str) -> Attitude:
+    """Attitude of ``RA,DEC,ROLL`` in degrees; `InputError` for anything else."""
     try:
         ra, dec, roll = (float(part) for part in text.split(","))
         if not (math.isfinite(ra + roll) and -90 <= dec <= 90):

@@ -25,8 +25,8 @@ def bright_sky() -> bytes:
     Returns
     -------
     bytes
-        ``{"stars": [{"ra_deg", "dec_deg", "magnitude", "colour", "name"}], "lines": [[[ra_deg, dec_deg], …]]}``: ICRS
-        at J2000.0, colours as ``#rrggbb`` (sRGB, from B−V), names of the stars brighter than V = 2.5.
+        ``{"stars": [{"ra_deg", "dec_deg", "magnitude", "colour", "name"}], "lines": [[[ra_deg, dec_deg], …]]}``: ICRS,
+        J2000.0; colours as ``#rrggbb`` (sRGB, from B−V), names of the stars brighter than V = 2.5.
     """
     catalog = load_catalog("bsc5")
     ra_deg, dec_deg = np.degrees(catalog.ra_rad), np.degrees(catalog.dec_rad)

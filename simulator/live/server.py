@@ -19,6 +19,8 @@ from simulator.live.mission import LiveMission
 from simulator.live.protocol import LARGEST_MESSAGE_BYTES, Error, dump
 from simulator.live.security import Access
 from simulator.live.session import Session, SessionEnded
+from simulator.live.stimulator import Stimulator
+from simulator.live.stimulus import Stimulus
 from simulator.live.tcp import LineServer
 from simulator.scenario import Scenario
 from startracker.errors import BoresightError, InputError
@@ -63,6 +65,10 @@ class ServerOptions:
     """Begin paused."""
     lockstep: bool = False
     """Begin with external attitudes in lockstep."""
+    stimulator: Stimulator | None = None
+    """Calibrated display before a real tracker, whose pictures are sent on the channel ``stimulus``."""
+    refresh_hz: float = 60.0
+    """Pictures a second of real time for the display."""
 
 
 class LiveServer:
@@ -128,7 +134,10 @@ class LiveServer:
         import uvicorn
 
         options, running = self.options, asyncio.get_running_loop()
-        loop = MissionLoop(self.mission, options.recordings, speed=options.speed, paused=options.paused)
+        display = None if options.stimulator is None else Stimulus(options.stimulator, options.refresh_hz)
+        loop = MissionLoop(
+            self.mission, options.recordings, speed=options.speed, paused=options.paused, stimulus=display
+        )
         self.loop = loop
         if options.lockstep:
             await loop.use_source(external=True, lockstep=True)
@@ -195,6 +204,7 @@ class LiveServer:
             WebSocketRoute("/ws", live),
             Route("/", _page("index.html")),
             Route("/stimulator", _page("stimulator.html")),
+            Route("/sky.json", _sky),
         ]
         if _PAGE.is_dir():
             routes.append(Mount("/static", StaticFiles(directory=_PAGE)))
@@ -210,6 +220,15 @@ def _page(name: str) -> Any:
         return PlainTextResponse(f"{name} is not part of this installation; the protocol is at /ws", 404)
 
     return page
+
+
+def _sky(_: Request) -> Response:
+    """Stars of the page's map; a function without async runs in a thread, as the first call reads the catalogue."""
+    from starlette.responses import Response
+
+    from simulator.live.bright_sky import bright_sky
+
+    return Response(bright_sky(), media_type="application/json")
 
 
 class _Guard:

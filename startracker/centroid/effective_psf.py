@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from startracker.arrays import FloatArray
 from startracker.centroid.frame import Prepared, measure_moments, prepare
 from startracker.centroid.psf_kernel import FITTED, Starts, fit_stars
 from startracker.centroid.psf_model import PsfModel
@@ -17,10 +18,6 @@ from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
-
-__all__ = ["build_effective_psf"]
-
-FloatArray = NDArray[np.float64]
 
 _KNOTS_A_PIXEL = 2
 _OVERSAMPLING = 8

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import IntArray
 from startracker.centroid.frame import collect, measure_moments, prepare
 from startracker.centroid.psf_fit import weighted_table
 from startracker.centroid.result import Centroids
@@ -12,10 +12,6 @@ from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.settings import CentroidSettings
-
-__all__ = ["first_moment"]
-
-IntArray = NDArray[np.int64]
 
 _WIDEST_FOR_3_PX = 1.1
 

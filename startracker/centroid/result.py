@@ -9,11 +9,8 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.display import fields_repr
-
-__all__ = ["Centroids", "misfit_of_brightest"]
-
-FloatArray = NDArray[np.float64]
 
 _BRIGHTEST, _FEWEST = 9, 5
 _MEDIAN_ERROR = math.sqrt(0.5 * math.pi)

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.detection.background import as_image, estimate
 from startracker.errors import InputError
 
-__all__ = ["BadPixelCount", "find_bad_pixels", "mask_pixels"]
-
 _SHARE = 0.75
 _FEWEST_FRAMES = 3
 

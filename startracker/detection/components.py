@@ -22,8 +22,6 @@ from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
-__all__ = ["find_components", "find_trailed"]
-
 
 def find_components(
     image: Image,

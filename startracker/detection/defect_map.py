@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.detection.bad_pixels import BadPixelCount
 
-__all__ = ["DefectMap"]
-
-FloatArray = NDArray[np.float64]
 BoolImage = NDArray[np.bool_]
 
 _TILES = 16

@@ -13,8 +13,6 @@ from startracker.detection.scan import kernel_half, runs_above, search_rows
 from startracker.detection.values import Image
 from startracker.errors import InputError
 
-__all__ = ["DEFAULT_SIGMA_PX", "filter_half", "matched_kernel", "quantiles", "search_filtered"]
-
 DEFAULT_SIGMA_PX = 0.8
 """Width where none is given. For stars of σ the filter keeps 2 r / (1 + r²) of the best signal-to-noise ratio, with r
 the ratio of the widths, the pixel included: more than 0.9 from 0.4 to 1.3 px."""

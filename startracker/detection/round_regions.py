@@ -15,9 +15,6 @@ from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
-__all__ = ["find_first_regions", "find_round_regions"]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
 _KEPT, _SMALL, _LARGE, _NOT_ROUND = range(4)

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["correct_sensitivity", "sensitivity_map"]
-
 FloatImage = NDArray[np.float32]
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from startracker.display import fields_repr
 
-__all__ = ["Spots"]
-
 
 @dataclass(frozen=True, eq=False)
 class Spots:

@@ -23,16 +23,6 @@ from startracker.identification.observed import Identification
 from startracker.settings import IdentificationSettings
 from startracker.solution import Solution, Status
 
-__all__ = [
-    "SURE_BEYOND",
-    "WITHIN_PRIOR_BEYOND",
-    "accepts",
-    "is_beyond_doubt",
-    "log_chance",
-    "log_limit",
-    "power_of_ten",
-]
-
 SURE_BEYOND = 15.0
 """Margin to the limit (in ln of the chance) beyond which no other hypothesis can compete."""
 WITHIN_PRIOR_BEYOND = 5.0

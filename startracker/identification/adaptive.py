@@ -21,6 +21,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.identification.candidate_search import Effort, Verifier
 from startracker.identification.hypothesis import HypothesisPool, kernel_stars, too_few
@@ -39,9 +40,6 @@ from startracker.identification.search_state import Guides, Limits, Pairs
 from startracker.identification.triangles import PAIR_SIGMAS, first_triangles, similar_triangles
 from startracker.identification.verification import GATE_SIGMAS
 from startracker.settings import AdaptiveSettings, IdentificationSettings
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 TIGHT, MIDDLE, WIDE = 2.2, 7.0, 16.0
 """Multiples of the stated errors: 0.15 px stated becomes 0.33, 1 and 2.4 px."""

@@ -16,15 +16,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.wide import WideArithmetic
 
-__all__ = ["Arithmetic", "FloatArithmetic", "FloatImage", "FloatSky", "Numbers"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Numbers: TypeAlias = NDArray[Any]
 """Values in an arithmetic's own format: float64 degrees in floating point, int64 in the integer build."""
 

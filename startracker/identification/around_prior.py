@@ -11,8 +11,6 @@ from startracker.identification.observed import Identification, Observed, Prior
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 
-__all__ = ["identify_around"]
-
 Identifier = Callable[[Observed, GuideDatabase, IdentificationSettings, Prior | None], Identification]
 
 _DOUBTFUL = (Status.SOLVED, Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)

@@ -21,8 +21,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
@@ -32,9 +32,6 @@ from startracker.identification.quads import QuadIndex, neighbour_quads, sky_cod
 from startracker.identification.verification import nearest_unique
 from startracker.lens import change_lens, is_one_to_one
 from startracker.lens_fit import Matches, image_equations
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WIDTHS_PX = (0.3, 1.0, 3.0)
 """Standard errors tried on the residuals that are left after the fit."""

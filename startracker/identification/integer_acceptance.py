@@ -15,17 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS, PLANE_BITS, Tables
 from startracker.fixed_point.vectors import DIRECTION
 from startracker.fixed_point.verification import MOST_EXTRA
 from startracker.identification.bayes_factor import DISTRACTORS, SCALE_LOG_PRIOR, SCALES, SEEN, count_table
-
-__all__ = ["MAX_POINTS", "GuideStars", "IntegerCamera", "merged_stars", "verification_tables"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MAX_POINTS = 24
 """Brightest points of a list that are verified."""

@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.identification.free_scale import FreeFit
 from startracker.identification.verification import nearest_unique
 from startracker.lens import PARAMETERS, only
 from startracker.lens_fit import Matches, fit_jointly, noise_floor, significant
-
-__all__ = ["last_fit"]
-
-FloatArray = NDArray[np.float64]
 
 _REJECT_SIGMAS = 3.7
 """A residual's length beyond this many standard errors an axis has probability 1e-3 (Rayleigh)."""

@@ -19,8 +19,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few
@@ -38,9 +38,6 @@ from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance, windows
 from startracker.settings import IdentificationSettings, MatchGroupSettings
 from startracker.solution import Status
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _MOST_STARS = 64  # bits of a word
 _MARK_WORK, _COLLECT_WORK, _COUPLE_WORK = 16.0, 64.0, 10.0

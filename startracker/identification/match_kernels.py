@@ -23,16 +23,6 @@ WordArray = NDArray[np.uint64]
 MAX_MEMBERS = 400
 
 
-@kernel
-def popcount(word: np.uint64) -> int:
-    """Number of set bits of a 64-bit word."""
-    count = 0
-    while word != np.uint64(0):
-        word &= word - np.uint64(1)
-        count += 1
-    return count
-
-
 class Windows(NamedTuple):
     """Observed pairs, each with the guide pairs of its length.
 
@@ -125,15 +115,10 @@ def mark(w: Windows, partners: WordArray) -> None:
                     partners[j, b] |= bit_i
 
 
-@kernel
 def group_sizes(partners: WordArray) -> IntArray:
     """Stars in each match group (N, G), kernel included; zero for none."""
-    sizes = np.zeros(partners.shape, np.int64)
-    for i in range(partners.shape[0]):
-        for g in range(partners.shape[1]):
-            if partners[i, g] != np.uint64(0):
-                sizes[i, g] = popcount(partners[i, g]) + 1
-    return sizes
+    supporting = np.bitwise_count(partners).astype(np.int64)
+    return np.where(supporting > 0, supporting + 1, 0)
 
 
 @kernel

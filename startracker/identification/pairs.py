@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import PairList
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PAIR_SIGMAS = 4.0
 """A true pair's separation is measured within this many standard errors: 6e-5 of them are lost."""

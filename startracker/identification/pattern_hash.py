@@ -25,8 +25,6 @@ from startracker.identification.pattern_kernels import PatternFinds, Plan, searc
 from startracker.identification.pattern_table import pattern_table
 from startracker.settings import IdentificationSettings, PatternHashSettings
 
-__all__ = ["pattern_hash"]
-
 FOCAL_RANGE = 0.025
 MOST_STARS = 40
 _WORK = {1.0: 3e6, 3.0: 3e6, 10.0: 5e6}

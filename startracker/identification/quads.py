@@ -22,10 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import brightest_everywhere
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NEIGHBOURS = 6
 STARS_IN_CIRCLE = 10

@@ -6,17 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
 from startracker.identification.arithmetic import Arithmetic, Numbers
-
-__all__ = ["TriadTables"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ROUNDING = 1e-9
 """Relative allowance of the search for pairs; what is really too far apart is left out afterwards."""

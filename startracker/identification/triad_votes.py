@@ -7,16 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import IntArray
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_search import TriadLimits, Triads, find_triads, image_pairs
 from startracker.identification.triad_tables import TriadTables
-
-__all__ = ["COMBINED_ID", "GroupMatch", "TriadMatch", "Vote", "combine_separation", "match_triads"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 COMBINED_ID = 10_000
 """Added to the number of the brightest of several stars that are one in the image: 7139 becomes 17139."""

@@ -18,7 +18,6 @@ import math
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.estimation.wahba import fit_rotation
@@ -33,10 +32,6 @@ from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
 from startracker.settings import IdentificationSettings, TriadSettings
 from startracker.solution import Status
-
-__all__ = ["triads", "triads_integer"]
-
-FloatArray = NDArray[np.float64]
 
 _MOST_TRIPLED = 64
 """Stars that make triads at most, whatever the settings."""

@@ -13,8 +13,6 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.identification.quads import QuadIndex, build_quads, pack_quads, unpack_quads
 
-__all__ = ["all_stars", "brightest_stars", "quad_index"]
-
 _MAGNITUDE_LIMIT = 9.0
 _REFERENCE = Camera.from_fov(4.0, 1024, 1024)  # the finest: doubles closer than 28″ are one
 _CACHE_KEY = "quads-2"

@@ -1,6 +1,7 @@
 """The scripts that draw the pictures of the documents run, and draw the pictures that are committed."""
 
 import runpy
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"
+NEEDED = {"basilisk": "Basilisk"}
+"""Optional package of a script."""
 SCRIPTS = sorted((ROOT / "docs" / "make_images").glob("*.py"))
 
 
@@ -16,7 +19,11 @@ SCRIPTS = sorted((ROOT / "docs" / "make_images").glob("*.py"))
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 @pytest.mark.filterwarnings("default")
 def test_script_draws_its_pictures(script, tmp_path, monkeypatch):
+    if script.stem in NEEDED:
+        pytest.importorskip(NEEDED[script.stem])
     monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setattr("sys.argv", [str(script)])
+    monkeypatch.setattr("sys.path", list(sys.path))
     drawn = []
     for kind, method, position in ((Figure, "savefig", 0), (Image.Image, "save", 0), (Path, "write_bytes", None)):
         original = getattr(kind, method)

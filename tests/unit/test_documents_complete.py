@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from document_blocks import IGNORED, LANGUAGES, blocks, without_numbers
-from public_names import NOT_DOCUMENTED, documented
+from public_names import NOT_DOCUMENTED, OPTIONAL, documented
 from reference_pages import api_pages, command_pages, commands, public_object, scenario_pages, summary
 
 import simulator
@@ -79,14 +79,18 @@ def _reachable() -> set[str]:
     for name in documented():
         value = public_object(name)
         names.add(f"{value.__module__}.{name.rpartition('.')[2]}")
-    return names | {
-        "simulator.detector.chain",  # the guide that adds an effect
-        "startracker.identification.Observed",
-        "startracker.identification.adaptive",
-        "startracker.identification.pyramid",
-        "startracker.tracking.RateNoise",
-        "startracker.tracking.TrackingSession",
-    }
+    return (
+        names
+        | set(OPTIONAL)
+        | {
+            "simulator.detector.chain",  # the guide that adds an effect
+            "startracker.identification.Observed",
+            "startracker.identification.adaptive",
+            "startracker.identification.pyramid",
+            "startracker.tracking.RateNoise",
+            "startracker.tracking.TrackingSession",
+        }
+    )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())

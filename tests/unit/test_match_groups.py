@@ -19,7 +19,6 @@ from startracker.identification.match_kernels import (
     collect,
     group_sizes,
     mark,
-    popcount,
     validate,
 )
 from startracker.identification.pairs import observed_pairs, pair_tolerance, separation, windows
@@ -110,11 +109,6 @@ def test_mark_and_collect_are_their_plain_twins(seed, restricted):
     for number, couple in enumerate(kept):
         found = sorted(divmod(int(code), g) for code in members[start[number] : start[number + 1]])
         assert found == sorted((int(o), int(s)) for o, s in support[couple] if (o, s) in kept)
-
-
-def test_popcount_counts_bits():
-    for word in (0, 1, 2**63, 2**64 - 1, 0b1011):
-        assert popcount(np.uint64(word)) == bin(word).count("1")
 
 
 def test_nearest_unique_gives_a_star_to_one_only():

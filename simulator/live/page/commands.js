@@ -1,6 +1,7 @@
 // Buttons and shortcuts: each deed once, for pointer and keyboard alike.
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10, 30, 60, 300];
+const SAID = { record: "Recording to ", stop_recording: "Recorded in ", saa: "South Atlantic Anomaly at " };
 const byId = (id) => document.getElementById(id);
 
 export class Commands {
@@ -24,7 +25,9 @@ export class Commands {
     return this.#send(this.store.state?.paused ? "resume" : "pause");
   }
 
-  step() {
+  /** One frame; a running mission is paused first. */
+  async step() {
+    if (!this.store.state?.paused) await this.#send("pause");
     return this.#send("step");
   }
 
@@ -60,7 +63,8 @@ export class Commands {
 
   async #send(name, values = {}) {
     try {
-      this.#notice((await this.connection.command(name, values)).detail ?? "");
+      const { detail } = await this.connection.command(name, values);
+      this.#notice(detail ? (SAID[name] ?? "") + detail : "");
     } catch (error) {
       this.#notice(error.message);
     }

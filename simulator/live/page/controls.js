@@ -149,7 +149,7 @@ class Slider {
 
   #show(value, source = null) {
     if (source !== this.range) this.range.value = Math.round(STEPS * this.scale.position(value));
-    this.number.value = Number.isFinite(value) ? Number(value.toPrecision(6)) : "";
+    this.number.value = Number.isFinite(value) ? Number(value.toPrecision(4)) : "";
     this.range.setAttribute("aria-valuetext", `${significant(value)} ${this.parameter.unit ?? ""}`.trim());
   }
 }

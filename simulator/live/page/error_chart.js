@@ -5,7 +5,7 @@ import { duration, significant } from "./format.js";
 
 const AXES = ["about x", "about y", "about the boresight, z"], NARROW_AXES = ["about x", "about y", "about z"];
 const WINDOWS_S = [10, 30, 60, 300, 1800, 7200];
-const LEFT = 52, RIGHT = 8, BOTTOM = 20, GAP = 22, TOP = 18, BIN_PX = 1, INTERVAL_MS = 50;
+const LEFT = 52, RIGHT = 8, BOTTOM = 20, GAP = 22, TOP = 18, BIN_PX = 1, INTERVAL_MS = 50, MANY_ROWS = 5000;
 
 export class ErrorChart {
   #log = false;
@@ -53,6 +53,7 @@ export class ErrorChart {
 
   #draw(context, width, height) {
     const rows = this.#rows(), newest = rows.at(-1)?.x ?? 0;
+    this.surface.interval = rows.length > MANY_ROWS ? 4 * INTERVAL_MS : INTERVAL_MS;
     const high = (height - TOP - BOTTOM - 2 * GAP) / 3;
     const x = (row) => width - RIGHT - ((newest - row.x) / this.#window) * (width - LEFT - RIGHT);
     context.font = SMALL;
@@ -62,9 +63,9 @@ export class ErrorChart {
       said.push(this.#strip(context, rows, axis, box, x));
     }
     this.#timeAxis(context, width, height);
-    const text = rows.length ? said.join("; ") : "No frames yet";
+    const text = said.join("; ");
     const output = document.getElementById("errors-text");
-    if (output.textContent !== text && Date.now() - (this.spoken ?? 0) > 5000) {
+    if (rows.length && output.textContent !== text && Date.now() - (this.spoken ?? 0) > 5000) {
       output.textContent = text;
       this.surface.canvas.setAttribute("aria-label", `Attitude error over time. ${text}`);
       this.spoken = Date.now();
@@ -245,17 +246,17 @@ function path(context, points) {
   context.stroke();
 }
 
-/** A large bound does not flatten the errors: the scale holds the errors, and the bound up to four times as much. */
+/** A large bound or stated error does not flatten the errors: the scale holds the errors, and these up to four times as much. */
 function extent(rows, axis) {
   const errors = rows.map((row) => Math.abs(row.error?.[axis] ?? NaN)).filter(Number.isFinite);
-  const bounds = rows.map((row) => row.bound?.[axis]).filter(Number.isFinite);
+  const bounds = rows.flatMap((row) => [row.bound?.[axis], row.stated?.[axis]]).filter(Number.isFinite);
   const most = errors.length ? Math.max(...errors) : 0, bound = bounds.length ? Math.max(...bounds) : 0;
   return { most, bound, least: Math.min(...errors.filter((e) => e > 0), ...bounds, Infinity) };
 }
 
 function linearScale(rows, axis, box) {
   const { most, bound } = extent(rows, axis);
-  const top = 1.1 * (Math.max(most, most ? Math.min(1.6 * bound, 4 * most) : 1.6 * bound) || 1);
+  const top = 1.1 * (Math.max(most, most ? Math.min(1.2 * bound, 4 * most) : 1.2 * bound) || 1);
   const unit = 10 ** Math.floor(Math.log10(top)), step = [0.5, 1, 2, 5].map((k) => k * unit).find((s) => top / s <= 2.2) ?? 10 * unit;
   const ticks = [];
   for (let k = -Math.floor(top / step); k <= Math.floor(top / step); k++) ticks.push(k * step);

@@ -116,7 +116,8 @@ export class FrameView {
     const current = solution && frame && Math.abs(solution.index - frame.index) <= 1 && !this.store.blinded;
     context.font = FONT;
     if (current && this.store.solved && this.show.grid) drawGrid(context, matrixOf(solution.quaternion), this.lens, at, [width, height]);
-    if (current && this.show.detections) this.#detections(context, solution.detections, at);
+    const marked = this.show.stars ? solution?.stars ?? [] : [];
+    if (current && this.show.detections) this.#detections(context, others(solution.detections, marked), at);
     if (current && (this.show.stars || this.show.names)) this.#stars(context, solution.stars, at, width);
     this.#crosshair(context, at);
     this.#veil();
@@ -145,19 +146,15 @@ export class FrameView {
   }
 
   #detections(context, detections, at) {
-    context.strokeStyle = "#e69f00";
-    context.lineWidth = 1.4;
     context.beginPath();
     for (const [x, y] of detections.slice(0, MOST_DETECTIONS)) {
       const [u, v] = at(x, y);
       context.rect(u - 6, v - 6, 12, 12);
     }
-    context.stroke();
+    outlined(context, "#e69f00", 1.4);
   }
 
   #stars(context, stars, at, width) {
-    context.strokeStyle = "#56b4e9";
-    context.lineWidth = 1.8;
     context.beginPath();
     const brightest = [...stars].sort((a, b) => a.magnitude - b.magnitude);
     if (this.show.stars) {
@@ -167,7 +164,7 @@ export class FrameView {
         context.arc(u, v, 11, 0, 2 * Math.PI);
       }
     }
-    context.stroke();
+    outlined(context, "#56b4e9", 1.8);
     if (!this.show.names) return;
     const taken = [];
     context.textBaseline = "middle";
@@ -212,6 +209,20 @@ export class FrameView {
     veil.hidden = !text;
     if (veil.textContent !== text) veil.textContent = text;
   }
+}
+
+/** Stroke of the path with a dark edge, to be seen on a bright frame too. */
+function outlined(context, colour, width) {
+  for (const [style, wide] of [["rgb(5 7 10 / 0.55)", width + 2], [colour, width]]) {
+    context.strokeStyle = style;
+    context.lineWidth = wide;
+    context.stroke();
+  }
+}
+
+/** Detections other than those marked as stars. */
+function others(detections, stars) {
+  return detections.filter(([x, y]) => !stars.some((star) => Math.abs(star.x - x) < 1 && Math.abs(star.y - y) < 1));
 }
 
 /** A covered camera: hatched, so that it is not taken for a dark sky. */

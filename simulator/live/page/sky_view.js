@@ -180,21 +180,28 @@ export class SkyView {
     context.setLineDash([]);
     context.font = `600 ${FONT}`;
     context.textBaseline = "middle";
-    const names = [["Sun", truth.sun, colour("orange")], ["Moon", truth.moon, colour("soft")], ["Earth", truth.earth, colour("blue")]];
-    for (const [name, direction, front] of names) {
+    const taken = [];
+    for (const [name, direction, size] of [["Sun", truth.sun, 6], ["Moon", truth.moon, 5], ["Earth", truth.earth, 0]]) {
       if (!direction) continue;
-      const [x, y] = at(direction);
-      context.fillStyle = front;
-      if (name !== "Earth") {
-        context.beginPath();
-        context.arc(x, y, name === "Sun" ? 6 : 5, 0, 2 * Math.PI);
-        context.fill();
-        context.strokeStyle = colour("sky");
-        context.stroke();
-      }
-      const long = context.measureText(name).width, beside = x + 10 + long > this.surface.width ? x - 10 - long : x + 10;
-      label(context, name, name === "Earth" ? x - long / 2 : beside, y, colour("text"), colour("sky"));
+      const [x, y] = at(direction), hidden = size > 0 && this.#hidden(direction);
+      context.fillStyle = context.strokeStyle = colour(name === "Sun" ? "orange" : "soft");
+      context.beginPath();
+      context.arc(x, y, size, 0, 2 * Math.PI);
+      if (hidden) context.stroke();
+      else context.fill();
+      const text = hidden ? `${name}, hidden` : name, long = context.measureText(text).width;
+      const beside = x + 10 + long > this.surface.width ? x - 10 - long : x + 10, left = size ? beside : x - long / 2;
+      let row = y;
+      while (taken.some(([l, r, v]) => l < left + long && left < r && Math.abs(v - row) < 15)) row += 16;
+      taken.push([left, left + long, row]);
+      label(context, text, left, row, colour("text"), colour("sky"));
     }
+  }
+
+  /** Whether a direction is behind the Earth. */
+  #hidden(direction) {
+    const { earth, earth_radius_deg: radiusDeg } = this.store.truth;
+    return Boolean(earth) && dot(direction, earth) > Math.cos(radiusDeg * DEG);
   }
 
   #boresight(context, at, radius) {

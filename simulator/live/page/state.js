@@ -1,5 +1,7 @@
 // What the page knows: the newest of each message, and bounded histories of error and path.
 
+import { ARCSEC } from "./vectors.js";
+
 const HISTORY = 30000; // frames; 10 minutes at 50 frames a second
 const JUMP_STEPS = 30; // a longer step of time than so many frames is a jump, drawn as a short break
 
@@ -96,7 +98,7 @@ export class Store extends EventTarget {
     const since = last ? truth.t_s - last.t : 0;
     const jumped = Boolean(last) && (since < 0 || since > JUMP_STEPS * step);
     const solved = solution.status === "solved";
-    const covariance = solved ? solution.covariance_rad2 : null;
+    const covariance = solution.covariance_rad2; // also while coasting: it grows
     this.history.push({
       t: truth.t_s,
       x: last ? last.x + (jumped ? 3 * step : since) : 0, // mission time without its jumps
@@ -105,7 +107,7 @@ export class Store extends EventTarget {
       blinded: Boolean(truth.blinded),
       error: solved ? truth.error_arcsec : null,
       bound: truth.bound_arcsec ?? null,
-      stated: covariance ? covariance.map((row, i) => Math.sqrt(row[i]) * 206264.806) : null,
+      stated: covariance ? covariance.map((row, i) => Math.sqrt(row[i]) / ARCSEC) : null,
       radec: solved ? [solution.ra_deg, solution.dec_deg] : null,
     });
     this.dispatchEvent(new Event("history"));

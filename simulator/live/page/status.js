@@ -1,9 +1,9 @@
 // The status line: one verdict in words and sign, the counts, and the solution's figures.
 
 import { degrees, duration, fixed, hours, significant, words } from "./format.js";
+import { ARCSEC } from "./vectors.js";
 
 const byId = (id) => document.getElementById(id);
-const ARCSEC = 206264.806;
 
 export class Status {
   #waiting = false;
@@ -69,16 +69,16 @@ export class Status {
   }
 
   #figures(solution) {
-    const solved = this.store.solved;
+    const solved = Boolean(solution?.quaternion); // of the filter, also while it coasts
     put("sol-ra", solved ? hours(solution.ra_deg, 2) : "–");
     put("sol-dec", solved ? degrees(solution.dec_deg, 1) : "–");
     put("sol-roll", solved ? `${fixed(solution.roll_deg, 3)}°` : "–");
     const found = solution?.detections.length ?? 0, stars = solution?.stars ?? [];
-    put("sol-stars", solution ? `${stars.length} of ${found} detections` : "–");
+    put("sol-stars", solution ? `${stars.length} of ${found}` : "–");
     const rms = Math.sqrt(stars.reduce((sum, star) => sum + star.residual_px ** 2, 0) / stars.length);
-    put("sol-residual", solved && Number.isFinite(rms) ? `${significant(rms, 2)} px` : "–");
+    put("sol-residual", this.store.solved && Number.isFinite(rms) ? `${significant(rms, 2)} px` : "–");
     const c = solved ? solution.covariance_rad2 : null;
-    const cross = c ? Math.sqrt((c[0][0] + c[1][1]) / 2) * ARCSEC : NaN, about = c ? Math.sqrt(c[2][2]) * ARCSEC : NaN;
+    const cross = c ? Math.sqrt((c[0][0] + c[1][1]) / 2) / ARCSEC : NaN, about = c ? Math.sqrt(c[2][2]) / ARCSEC : NaN;
     put("sol-sigma", c ? `${significant(cross, 2)}″ / ${significant(about, 2)}″` : "–");
   }
 }

@@ -1,41 +1,47 @@
 // From digital numbers to brightness, as in the pictures of the reports (startracker/picture.py): the arcsinh of the signal
 // in units of the noise, black two standard deviations below the sky.
 
-const BLACK_SIGMA = 2, SOFT_SIGMA = 8, LEAST_RANGE_SIGMA = 25, WHITE_SHARE = 0.9995, FULL_SHARE = 0.8;
-const counts = new Uint32Array(65536);
+const BLACK_SIGMA = 2, SOFT_SIGMA = 8, LEAST_RANGE_SIGMA = 25, WHITE_SHARE = 0.9995, FULL_SHARE = 0.8, MOST_SAMPLES = 500000;
+const counts = new Uint32Array(65536), distances = new Uint32Array(131072);
 
 /** Sky, white level and robust noise of an image of 16 bits; a frame filled to `saturation` is shown as white as it is. */
 export function levelsOf(pixels, saturation) {
   counts.fill(0);
-  const stride = Math.max(1, Math.floor(pixels.length / 500000));
+  const stride = Math.max(1, Math.floor(pixels.length / MOST_SAMPLES));
   let total = 0;
   for (let i = 0; i < pixels.length; i += stride, total++) counts[pixels[i]]++;
-  const sky = quantile(0.5, total), top = quantile(WHITE_SHARE, total);
+  const sky = quantile(counts, 0.5, total), top = quantile(counts, WHITE_SHARE, total);
   if (sky > FULL_SHARE * saturation) return { sky: 0, top: saturation, noise: saturation / LEAST_RANGE_SIGMA };
-  const noise = 1.4826 * medianDistance(sky, total) || 1;
+  const noise = 1.4826 * medianDistance(sky, total) || deviation(total) || 1;
   return { sky, top: Math.max(top, sky + LEAST_RANGE_SIGMA * noise), noise };
 }
 
-function quantile(share, total) {
-  let sum = 0;
-  for (let value = 0; value < 65536; value++) {
-    sum += counts[value];
-    if (sum >= share * total) return value;
+/** Quantile of a histogram of whole numbers, linear between neighbours as NumPy's. */
+function quantile(histogram, share, total) {
+  const rank = share * (total - 1), low = Math.floor(rank);
+  let sum = 0, below = null;
+  for (let value = 0; value < histogram.length; value++) {
+    sum += histogram[value];
+    if (below === null && sum > low) below = value;
+    if (sum > Math.ceil(rank)) return below + (rank - low) * (value - below);
   }
-  return 65535;
+  return below ?? 0;
 }
 
-function medianDistance(centre, total) {
-  let sum = counts[centre];
-  for (let distance = 0; distance < 65536; distance++) {
-    if (distance) sum += (counts[centre - distance] ?? 0) + (counts[centre + distance] ?? 0);
-    if (2 * sum >= total) {
-      const inside = distance ? sum - (counts[centre - distance] ?? 0) - (counts[centre + distance] ?? 0) : 0;
-      const share = (total / 2 - inside) / Math.max(1, sum - inside); // within the step: digital numbers are coarse
-      return Math.max(0, distance - 0.5) + share * (distance ? 1 : 0.5);
-    }
+/** Median distance from the sky, which is a multiple of one half. */
+function medianDistance(sky, total) {
+  distances.fill(0);
+  for (let value = 0; value < 65536; value++) distances[Math.round(2 * Math.abs(value - sky))] += counts[value];
+  return quantile(distances, 0.5, total) / 2;
+}
+
+function deviation(total) {
+  let sum = 0, squares = 0;
+  for (let value = 0; value < 65536; value++) {
+    sum += value * counts[value];
+    squares += value * value * counts[value];
   }
-  return 0;
+  return Math.sqrt(Math.max(0, squares / total - (sum / total) ** 2));
 }
 
 /** Table of grey values as little-endian RGBA words, one for each digital number. */

@@ -1,6 +1,7 @@
 // Unit vectors, quaternions (scalar last, ICRS to camera) and the camera: plain arrays, radians unless the name says degrees.
 
 export const DEG = Math.PI / 180;
+export const ARCSEC = DEG / 3600;
 
 /** Rotation matrix (rows) of a quaternion [x, y, z, w]: camera = A · ICRS. */
 export function matrixOf([x, y, z, w]) {

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from simulator.study.sequence.camera import TrackedFrame
+from simulator.study.sequence.time_axis import nearly_all
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import INK, STYLE
 from startracker.arrays import Columns
@@ -218,8 +219,7 @@ def _plot(columns: Columns, width: int) -> tuple[Image.Image, tuple[float, float
             error, sigma = columns[f"error_{axis}_deg"] * 3600.0, columns[f"sigma_{axis}_deg"] * 3600.0
             ax.fill_between(t, -3.0 * sigma, 3.0 * sigma, color=colour, alpha=0.15, linewidth=0)
             ax.plot(t, error, "-", color=colour, linewidth=1.0)
-            known = [np.abs(v[np.isfinite(v)]) for v in (error, 3.0 * sigma)]
-            reach = max((float(np.percentile(v, 97.0)) for v in known if len(v)), default=1.0)
+            reach = nearly_all(error, 3.0 * sigma)
             ax.set_ylim(-1.3 * reach or -1.0, 1.3 * reach or 1.0)
             ax.set_ylabel(f"{axis} [″]")
         axes[-1].set_xlim(0.0, max(float(t[-1]), 1e-9))

@@ -20,30 +20,28 @@ from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.columns import (
     NO_FRAME,
     camera_error_deg,
-    error_columns,
+    compared_columns,
+    is_beyond,
     is_wrong_attitude,
+    opening_columns,
+    three_columns,
 )
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.trials.trial import (
-    attitude_columns,
     attitude_errors_deg,
     build_tracker,
     in_field,
     misidentified,
-    mounting_columns,
     normalised_error_squared,
 )
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
-
-__all__ = ["LEAST_PRIOR_DEG", "Moment", "SequenceCamera", "TrackedFrame"]
-
-FloatArray = NDArray[np.float64]
 
 LEAST_PRIOR_DEG = 0.1
 _NO_WINDOWS: FloatArray = np.empty((0, 2))
@@ -224,24 +222,11 @@ class SequenceCamera:
         estimate, covariance = session.filter_attitude, session.covariance
         mode = session.state.mode if solution.solved else "none" if estimate is None else "coasting"
         innovation = session.state.innovation
-        row: dict[str, Any] = {
-            "index": moment.index,
-            "elapsed_s": moment.since_s,
-            "t_s": t_s,
-            "utc": self.renderer.scenes.clock.isot(t_s),
-            "mode": mode,
-            "status": str(solution.status),
-            "reason": solution.reason,
-            "wrong": False,
-            "beyond_specification": False,
-        }
-        row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
-        compared = error_columns(
-            true, estimate, None if covariance is None else covariance[:3, :3], mounting, rotation_rad
-        )
-        errors = {axis: compared[f"error_{axis}_deg"] for axis in (*BODY_AXES, *CAMERA_AXES)}
-        row["beyond_specification"] = solution.solved and beyond_specification(errors, self.specification)
-        row |= compared
+        row = opening_columns(moment.index, moment.since_s, t_s, self.renderer.scenes.clock.isot(t_s))
+        row |= {"mode": mode, "status": str(solution.status), "reason": solution.reason}
+        known = None if covariance is None else covariance[:3, :3]
+        row |= compared_columns(true, estimate, known, mounting, rotation_rad)
+        row["beyond_specification"] = solution.solved and is_beyond(row, self.specification)
         row |= self._rates(moment)
         row |= {
             "innovation_distance2": innovation.distance2 if innovation else math.nan,
@@ -274,20 +259,12 @@ class SequenceCamera:
             variance = np.diag(covariance)[3:]
             if section.gyro.use:
                 variance = variance + (section.gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H) ** 2 / section.step_s
-        sigma = np.sqrt(variance)
         true = moment.rate_rad_s(self.renderer.exposure_s)
-        row: dict[str, float] = {}
-        for i, axis in enumerate("xyz"):
-            row[f"true_rate_{axis}_deg_s"] = math.degrees(true[i])
-            row[f"rate_{axis}_deg_s"] = math.degrees(rate[i])
-            row[f"sigma_rate_{axis}_deg_s"] = math.degrees(sigma[i])
+        row = three_columns("rate", "deg_s", true, rate, np.sqrt(variance), math.degrees(1.0))
         if moment.bias_rad_s is not None:
             bias = session.bias_rad_s if session.bias_rad_s is not None else np.full(3, math.nan)
             spread = np.sqrt(np.diag(covariance)[3:]) if covariance is not None else np.full(3, math.nan)
-            for i, axis in enumerate("xyz"):
-                row[f"true_bias_{axis}_deg_h"] = float(moment.bias_rad_s[i] / DEG_H)
-                row[f"bias_{axis}_deg_h"] = float(bias[i] / DEG_H)
-                row[f"sigma_bias_{axis}_deg_h"] = float(spread[i] / DEG_H)
+            row |= three_columns("bias", "deg_h", moment.bias_rad_s / DEG_H, bias / DEG_H, spread / DEG_H, 1.0)
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:

@@ -17,12 +17,11 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.scenario.heads import scenario_of_head
 from simulator.study.sequence.camera import LEAST_PRIOR_DEG, TrackedFrame
-from simulator.study.sequence.columns import error_columns
+from simulator.study.sequence.columns import compared_columns, is_beyond, opening_columns, three_columns
 from simulator.study.sequence.head_camera import BodyState, HeadCamera
 from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES, WRONG_NEES, beyond_specification
-from simulator.study.trials.trial import attitude_columns, mounting_columns
+from simulator.study.statistics import WRONG_NEES
 from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
@@ -261,22 +260,10 @@ class _Flight:
         true = seen.camera
         mekf = self.fusion.estimate(state.since_s)
         estimate = None if mekf is None else mekf.head_attitude(0)
-        row: dict[str, Any] = {
-            "index": k,
-            "elapsed_s": state.since_s,
-            "t_s": state.t_s,
-            "utc": runner.clock.isot(state.t_s),
-            "mode": "none",
-            "status": "",
-            "reason": "",
-            "wrong": False,
-            "beyond_specification": False,
-        }
-        row |= attitude_columns("true_", true) | attitude_columns("", estimate) | mounting_columns(rotation_rad)
+        row = opening_columns(k, state.since_s, state.t_s, runner.clock.isot(state.t_s))
         covariance = None if mekf is None else mekf.head_covariance(0)
-        row |= error_columns(true, estimate, covariance, seen.camera @ shaken.body.inverse, rotation_rad)
-        errors = {axis: row[f"error_{axis}_deg"] for axis in (*BODY_AXES, *CAMERA_AXES)}
-        row["beyond_specification"] = beyond_specification(errors, runner.specification)
+        row |= compared_columns(true, estimate, covariance, seen.camera @ shaken.body.inverse, rotation_rad)
+        row["beyond_specification"] = is_beyond(row, runner.specification)
         row |= self._rates(seen.rate_camera_rad_s, mekf)
         row |= self._gyro_errors(state.since_s, mekf)
         for head, camera in enumerate(runner.cameras):
@@ -297,7 +284,7 @@ class _Flight:
                 white = (section.gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H) ** 2 / step_s
                 variance = variance + white * np.eye(3)
             sigma = np.sqrt(np.diag(to_camera @ variance @ to_camera.T))
-        return _three_columns("rate", "deg_s", true_rad_s, rate, sigma, math.degrees(1.0))
+        return three_columns("rate", "deg_s", true_rad_s, rate, sigma, math.degrees(1.0))
 
     def _gyro_errors(self, since_s: float, mekf: AlignedMekf | None) -> dict[str, float]:
         """True and estimated bias and scale factors of the gyro, body axes; empty without one."""
@@ -308,11 +295,11 @@ class _Flight:
         true = gyro.biases_rad_s[self.runner.ends_s.index(since_s)]
         bias = unknown if mekf is None else mekf.bias_rad_s
         sigma = unknown if mekf is None else np.sqrt(np.diag(mekf.covariance)[3:])
-        columns = _three_columns("bias", "deg_h", true, bias, sigma, 1.0 / DEG_H)
+        columns = three_columns("bias", "deg_h", true, bias, sigma, 1.0 / DEG_H)
         if self.runner.scenario.sequence.gyro.scale_factor_ppm:
             scale = unknown if mekf is None else mekf.scale
             sigma = unknown if mekf is None else mekf.scale_sigma
-            columns |= _three_columns("scale", "ppm", gyro.scale, scale, sigma, 1e6)
+            columns |= three_columns("scale", "ppm", gyro.scale, scale, sigma, 1e6)
         return columns
 
 
@@ -323,17 +310,5 @@ def _alignment_columns(camera: HeadCamera, head: int, mekf: AlignedMekf | None) 
     unknown = np.full(3, math.nan)
     found = unknown if mekf is None else mekf.alignment_rad(head)
     sigma = unknown if mekf is None else mekf.alignment_sigma_rad(head)
-    columns = _three_columns("alignment", "arcsec", camera.misalignment_rad, found, sigma, 1.0 / ARCSEC_RAD)
+    columns = three_columns("alignment", "arcsec", camera.misalignment_rad, found, sigma, 1.0 / ARCSEC_RAD)
     return {f"head_{camera.name}_{name}": value for name, value in columns.items()}
-
-
-def _three_columns(
-    name: str, unit: str, true: FloatArray, found: FloatArray, sigma: FloatArray, factor: float
-) -> dict[str, float]:
-    """True and estimated values about three axes and their standard deviations, in a unit."""
-    columns: dict[str, float] = {}
-    for i, axis in enumerate("xyz"):
-        columns[f"true_{name}_{axis}_{unit}"] = float(true[i]) * factor
-        columns[f"{name}_{axis}_{unit}"] = float(found[i]) * factor
-        columns[f"sigma_{name}_{axis}_{unit}"] = float(sigma[i]) * factor
-    return columns

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from simulator.study.html_page import Table
 from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.plots import draw_compared
-from simulator.study.sequence.time_axis import time_axis
+from simulator.study.sequence.time_axis import draw_strip, nearly_all, time_axis
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from simulator.study.texts import deg_text
@@ -53,8 +51,6 @@ def _frames_drawer(columns: Columns, names: list[str]) -> Callable[[Axes], None]
     """Strip chart: one row per head, with bars for its frames."""
 
     def draw(ax: Axes) -> None:
-        t = columns["elapsed_s"]
-        step = float(t[1] - t[0]) if len(t) > 1 else 1.0
         for row, name in enumerate(names):
             status = columns[f"head_{name}_status"]
             kinds = {
@@ -63,11 +59,7 @@ def _frames_drawer(columns: Columns, names: list[str]) -> Callable[[Axes], None]
                 "no frame": (status == NO_FRAME, SOFT),
             }
             for label, (chosen, colour) in kinds.items():
-                edges = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(np.int8)))
-                bars = [
-                    (float(t[i]) - step / 2.0, (j - i) * step) for i, j in zip(edges[::2], edges[1::2], strict=True)
-                ]
-                ax.broken_barh(bars, (row - 0.38, 0.76), color=colour, linewidth=0, label="" if row else label)
+                draw_strip(ax, columns, row, chosen, color=colour, label="" if row else label)
         ax.set_yticks(range(len(names)), names)
         ax.set_ylim(len(names) - 0.4, -1.3)
         ax.grid(visible=False, axis="y")
@@ -92,9 +84,7 @@ def _errors_drawer(columns: Columns, names: list[str], axis: str) -> Callable[[A
             ax.plot(own_t, own, marker, color=colour, markersize=3.5, label=name, rasterized=many)
         ax.fill_between(t, -3.0 * sigma, 3.0 * sigma, color=BLUE, alpha=0.2, linewidth=0, rasterized=many)
         ax.plot(t, error, "-", color=BLUE, linewidth=1.0, label="fused", rasterized=many)
-        finite = [np.abs(values[np.isfinite(values)]) for values in shown]
-        reach = max((float(np.percentile(values, 97.0)) for values in finite if len(values)), default=1.0)
-        if reach > 0.0:
+        if (reach := nearly_all(*shown)) > 0.0:
             ax.set_ylim(-1.4 * reach, 1.8 * reach)
         ax.set_ylabel("error [″]")
         ax.legend(loc="upper right", ncols=len(names) + 1)

@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from simulator.study.sequence.calibration_plots import calibration_panels
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.operation_plots import operation_panels
-from simulator.study.sequence.time_axis import step_s, time_axis
+from simulator.study.sequence.time_axis import draw_strip, nearly_all, time_axis
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from startracker.arrays import Columns
@@ -86,14 +86,9 @@ def panels(columns: Columns) -> dict[str, list[Panel]]:
 
 def draw_modes(ax: Axes, columns: Columns) -> None:
     """Modes as a strip chart: one row per mode, with bars for its frames."""
-    t, mode = columns["elapsed_s"], columns["mode"]
-    step = step_s(columns)
-    shown = [m for m in MODES if np.any(mode == m)]
+    shown = [m for m in MODES if np.any(columns["mode"] == m)]
     for row, name in enumerate(shown):
-        mask = np.concatenate([[False], mode == name, [False]])
-        edges = np.flatnonzero(np.diff(mask.astype(np.int8)))
-        spans = [(float(t[a]) - step / 2.0, (b - a) * step) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-        ax.broken_barh(spans, (row - 0.38, 0.76), color=MODE_COLOURS[name], linewidth=0)
+        draw_strip(ax, columns, row, columns["mode"] == name, color=MODE_COLOURS[name])
     ax.set_yticks(range(len(shown)), [MODE_TITLES[m] for m in shown])
     ax.set_ylim(len(shown) - 0.4, -0.6)
     ax.grid(visible=False, axis="y")
@@ -107,13 +102,16 @@ def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
     error, sigma = columns[f"error_{axis}_deg"] * 3600.0, columns[f"sigma_{axis}_deg"] * 3600.0
     solved = columns["status"] == "solved"
     ax.fill_between(t, -3.0 * sigma, 3.0 * sigma, color=BLUE, alpha=0.15, linewidth=0, label="±3σ", rasterized=many)
+    shown = [error, 3.0 * sigma]
     if f"single_error_{axis}_deg" in columns:
         single = columns[f"single_error_{axis}_deg"] * 3600.0
+        shown.append(single)
         ax.plot(t, single, ".", color=ORANGE, markersize=2.5, label="single frame", rasterized=many)
     ax.plot(t, error, "-", color=BLUE, linewidth=1.0, label="tracking", rasterized=many)
     if np.any(~solved & np.isfinite(error)):
         ax.plot(t[~solved], error[~solved], "x", color=VERMILION, markersize=3.5, label="not solved", rasterized=many)
-    _robust_limits(ax, error, 3.0 * sigma, columns.get(f"single_error_{axis}_deg"))
+    if (reach := nearly_all(*shown)) > 0.0:
+        ax.set_ylim(-1.5 * reach, 1.9 * reach)
     ax.set_ylabel("error [″]")
     ax.legend(loc="upper right", ncols=2, framealpha=0.8)
     time_axis(ax, columns)
@@ -122,16 +120,6 @@ def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
 def _error_panel(axis: str, columns: Columns) -> Panel:
     title = _AXIS_TITLES[axis]
     return Panel(title[0].upper() + title[1:], "", lambda ax: draw_error(ax, columns, axis))
-
-
-def _robust_limits(ax: Axes, error: NDArray[Any], band: NDArray[Any], single: NDArray[Any] | None) -> None:
-    """Axis limits for nearly all values: acquisition or an outage may widen the band a thousandfold."""
-    known = [np.abs(v[np.isfinite(v)]) for v in (error, band)]
-    if single is not None:
-        known.append(np.abs(single[np.isfinite(single)]) * 3600.0)
-    reach = max((float(np.percentile(v, 97.0)) for v in known if len(v)), default=1.0)
-    if reach > 0.0:
-        ax.set_ylim(-1.5 * reach, 1.9 * reach)
 
 
 def _stars(ax: Axes, columns: Columns) -> None:

@@ -1,11 +1,13 @@
-"""Parts that the plots of a sequence share: the axis of time, and the number of defective pixels over it."""
+"""Parts that the plots of a sequence share: the axis of time, strips and bands over it, and limits of errors."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from simulator.study.style import BLUE
-from startracker.arrays import Columns
+from startracker.arrays import BoolArray, Columns, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,3 +33,18 @@ def draw_defects(ax: Axes, columns: Columns, name: str) -> None:
     ax.set_ylim(bottom=0, top=1.2 * max(1, int(count.max())))
     ax.set_ylabel("pixels")
     time_axis(ax, columns)
+
+
+def draw_strip(ax: Axes, columns: Columns, row: int, frames: BoolArray, **look: Any) -> None:
+    """One row of a strip chart: bars for the frames marked."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], frames, [False]]).astype(np.int8)))
+    t, step = columns["elapsed_s"], step_s(columns)
+    bars = [(float(t[a]) - step / 2.0, (b - a) * step) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    ax.broken_barh(bars, (row - 0.38, 0.76), linewidth=0, **look)
+
+
+def nearly_all(*values: FloatArray) -> float:
+    """Reach of nearly all finite values, for the limits of an axis: acquisition or an outage may widen a band a
+    thousandfold."""
+    finite = [np.abs(each[np.isfinite(each)]) for each in values]
+    return max((float(np.percentile(each, 97.0)) for each in finite if len(each)), default=1.0)

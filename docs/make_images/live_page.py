@@ -1,0 +1,166 @@
+"""Do the experiments of docs/how-to/teach-live.md on the live page, print what it says, and draw its pictures.
+
+python docs/make_images/live_page.py
+
+Needs the extra `live`, playwright and Chromium, named in the variable CHROMIUM or on the path.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+from simulator import Scenario
+from simulator.live.server import ServerOptions, serving
+
+IMAGES = Path(__file__).resolve().parents[1] / "images"
+SPEED, FRAMES = 5.0, 30
+"""Factor on real time, and frames over which the page's figures are taken."""
+
+
+@contextmanager
+def lesson(browser: Any, scenario: str, *settings: str, **screen: Any) -> Iterator[Lesson]:
+    """The page on a server of its own."""
+    options = ServerOptions(port=0, speed=SPEED, recordings=Path(tempfile.mkdtemp()))
+    with serving(Scenario.load(scenario, list(settings)), options) as server:
+        page = browser.new_context(viewport={"width": 1400, "height": 900}, **screen).new_page()
+        page.goto(server.url)
+        page.wait_for_selector("text=/^(Tracking|Solved)/")
+        yield Lesson(page, server)
+        page.context.close()
+
+
+class Lesson:
+    """What a class does with the page."""
+
+    def __init__(self, page: Any, server: Any) -> None:
+        self.page, self.server = page, server
+
+    def frames(self, count: int = FRAMES) -> None:
+        """Wait until so many more frames have been made."""
+        last = self.server.mission.index + count
+        while self.server.mission.index < last:
+            self.page.wait_for_timeout(100)
+        self.page.wait_for_timeout(500)
+
+    def enter(self, path: str, value: float) -> None:
+        """Type a value beside its slider."""
+        number = self.page.locator(f'[data-path="{path}"] input[type=number]')
+        number.fill(f"{value:g}")
+        number.press("Enter")
+        while self.page.locator(".slider.busy").count():
+            self.page.wait_for_timeout(50)
+
+    def says(self, what: str) -> str:
+        """Print and return what the page says: verdict, stars, errors of the last 30 frames."""
+        page = self.page
+        chart = page.evaluate("[...document.querySelectorAll('#errors')].map(n => n.ariaLabel)[0]") or ""
+        figures = re.findall(r"rms ([\d.]+)″ = ([\d.]+) × bound ([\d.]+)", chart)
+        errors = ", ".join(
+            f"{axis} {rms}″ = {ratio} × {bound}″" for axis, (rms, ratio, bound) in zip("xyz", figures, strict=False)
+        )
+        text = f"{page.inner_text('#verdict-text')}; stars {page.inner_text('#sol-stars')}; {errors}"
+        print(f"{what:28} {text}  [1σ {page.inner_text('#sol-sigma')}]", flush=True)
+        return text
+
+    def measure(self, what: str) -> str:
+        """The same after enough frames for a window of its own."""
+        self.page.select_option("#window", "30")
+        self.frames()
+        self.page.wait_for_timeout(5500)  # the page tells its figures every five seconds
+        return self.says(what)
+
+    def draw(self, name: str, selector: str | None = None) -> None:
+        """The page, or one part of it, as a picture."""
+        shown = self.page.locator(selector) if selector else self.page
+        (IMAGES / name).write_bytes(shown.screenshot(type="jpeg", quality=82))
+
+
+def exposure(browser: Any) -> None:
+    with lesson(browser, "cubesat_ideal") as does:
+        does.frames(25)
+        does.draw("live-page.jpg")
+        does.page.click("#hold")
+        for value_s in (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0):
+            does.enter("detector.exposure_s", value_s)
+            does.measure(f"exposure {value_s:g} s")
+        does.page.click("#zoom")
+        does.draw("live-exposure.jpg", ".panel.frame")
+
+
+def bound(browser: Any) -> None:
+    for scenario in ("cubesat_ideal", "cubesat"):
+        with lesson(browser, scenario) as does:
+            does.frames(40)
+            does.measure(scenario)
+
+
+def rate(browser: Any) -> None:
+    with lesson(browser, "cubesat_ideal") as does:
+        for value in (0.1, 0.3, 1.0, 2.0, 5.0):
+            does.enter("pointing.rate_deg_s.roll", value)
+            does.measure(f"rate roll {value:g}°/s")
+            if value == 1.0:
+                does.draw("live-rate.jpg", ".panel.frame")
+        does.enter("pointing.rate_deg_s.roll", 0.0)
+        does.measure("rate roll 0")
+        does.page.fill("#kick-rate", "3")
+        does.page.click("#kick")
+        does.frames(5)
+        does.says("kick 3°/s")
+
+
+def blind(browser: Any) -> None:
+    with lesson(browser, "cubesat_ideal") as does:
+        does.frames(20)
+        does.says("before")
+        does.page.click("#blind")
+        for _ in range(3):
+            does.frames(5)
+            does.says("blinded")
+        does.page.click("#blind")
+        does.frames(1)
+        does.says("first frame after")
+        does.frames(15)
+        does.says("later")
+        does.draw("live-blind.jpg", ".panel.errors")
+
+
+def age(browser: Any) -> None:
+    with lesson(browser, "cubesat_ideal", color_scheme="dark") as does:
+        does.measure("new, 20 °C")
+        does.enter("detector.hot_pixel_fraction", 0.01)
+        does.measure("1 % hot pixels, 20 °C")
+        does.enter("detector.temperature_c", 60)
+        does.measure("1 % hot pixels, 60 °C")
+        does.enter("detector.temperature_c", -20)
+        does.measure("1 % hot pixels, −20 °C")
+        does.page.click("#reset")
+        does.frames(2)
+        does.page.click("#saa")
+        does.frames(5)
+        print(does.page.inner_text("#notice"))
+        does.measure("South Atlantic Anomaly")
+        does.draw("live-anomaly.jpg")
+
+
+def main() -> None:
+    program = os.environ.get("CHROMIUM") or shutil.which("chromium")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        for experiment in (exposure, bound, rate, blind, age):
+            print(f"\n{experiment.__name__}", flush=True)
+            experiment(browser)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
