@@ -80,7 +80,11 @@ def test_longer_exposure_makes_a_brighter_frame(visit):
     page.wait_for_timeout(1000)
     asked_s = float(page.locator('[data-path="detector.exposure_s"] input[type=number]').input_value())
     assert visit.messages("frame")[-1]["exposure_s"] == asked_s > 5 * before_s
-    assert brightness(page) > before + 20
+    held = brightness(page)
+    assert held > before + 20
+    page.click("#hold")
+    page.wait_for_timeout(500)
+    assert brightness(page) < held - 20  # fitted to the frame again
     page.click("#reset")
     until(page, SETTLED)
     assert float(page.locator('[data-path="detector.exposure_s"] input[type=number]').input_value()) == before_s
