@@ -5,7 +5,7 @@ import { degrees, fixed, hours } from "./format.js";
 import { Ring } from "./state.js";
 import { DEG, Hammer, Lens, circleAbout, directionOf, dot, matrixOf, turnedBack, unit } from "./vectors.js";
 
-const PATH = 4000, PATH_STEP_DEG = 0.05, NAMED_MAGNITUDE = 1.25, OBLIQUITY_DEG = 23.4393, MARGIN = 4;
+const PATH = 4000, PATH_STEP_DEG = 0.05, NAMED_MAGNITUDE = 1.25, OBLIQUITY_DEG = 23.4393, MARGIN = 4, NARROW_PX = 130;
 const INTERVAL_MS = 100;
 
 export class SkyView {
@@ -159,7 +159,7 @@ export class SkyView {
       context.arc(x, y, size * Math.max(0.5, 2.4 - 0.42 * star.magnitude), 0, 2 * Math.PI);
       context.fill();
     }
-    if (radius < 130) return;
+    if (radius < NARROW_PX) return;
     context.font = SMALL;
     context.textBaseline = "middle";
     for (const star of this.#stars) {
@@ -189,7 +189,7 @@ export class SkyView {
       context.arc(x, y, size, 0, 2 * Math.PI);
       if (hidden) context.stroke();
       else context.fill();
-      const text = hidden ? `${name}, hidden` : name, long = context.measureText(text).width;
+      const text = hidden && radius > NARROW_PX ? `${name}, hidden` : name, long = context.measureText(text).width;
       const beside = x + 10 + long > this.surface.width ? x - 10 - long : x + 10, left = size ? beside : x - long / 2;
       let row = y;
       while (taken.some(([l, r, v]) => l < left + long && left < r && Math.abs(v - row) < 15)) row += 16;
