@@ -31,7 +31,7 @@ _MAG = 2.5 / math.log(10.0)
 
 class Exposures(NamedTuple):
     """How the photographs of the squares were taken: exposure time, gain in electrons per DN, and the magnitude of a
-    star that gives 1 DN a second."""
+    star that gives 1 DN per second."""
 
     exposure_s: float
     gain_e_per_dn: float = 1.0
