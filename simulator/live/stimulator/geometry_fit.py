@@ -12,21 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.live.stimulator.geometry import DisplayGeometry, with_parity
 from simulator.live.stimulator.patterns import Pattern
 from simulator.live.stimulator.photographs import Dots, Photograph
+from startracker.arrays import FloatArray
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.constants import ARCSEC_RAD
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.lens import prior_of
 from startracker.lens_fit import noise_floor
-
-__all__ = ["PARAMETERS", "GeometryFit", "aligned", "fit_geometry"]
-
-FloatArray = NDArray[np.float64]
 
 PARAMETERS = ("ln_f", "cx", "cy", "k1", "k2", "tilt_x_deg", "tilt_y_deg")
 _CENTRE_SHARE, _TILT_DEG, _FOCAL_SHARE = 0.05, 3.0, 0.1

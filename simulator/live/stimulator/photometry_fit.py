@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 from simulator.live.stimulator.patterns import TOP_LEVEL, Pattern
 from simulator.live.stimulator.photographs import SquareFluxes
 from simulator.live.stimulator.photometry import Curve, Photometry, uniformity_terms
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["Exposures", "PhotometryFit", "fit_photometry"]
-
-FloatArray = NDArray[np.float64]
 
 _SIGNIFICANT = 1e-3
 _LEAST_SNR = 20.0
