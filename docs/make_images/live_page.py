@@ -64,9 +64,8 @@ class Lesson:
         page = self.page
         chart = page.evaluate("[...document.querySelectorAll('#errors')].map(n => n.ariaLabel)[0]") or ""
         figures = re.findall(r"rms ([\d.]+)″ = ([\d.]+) × bound ([\d.]+)", chart)
-        errors = ", ".join(
-            f"{axis} {rms}″ = {ratio} × {bound}″" for axis, (rms, ratio, bound) in zip("xyz", figures, strict=False)
-        )
+        named = zip("xyz", figures, strict=False)
+        errors = ", ".join(f"{axis} {rms}″ = {ratio} × {bound}″" for axis, (rms, ratio, bound) in named)
         text = f"{page.inner_text('#verdict-text')}; stars {page.inner_text('#sol-stars')}; {errors}"
         print(f"{what:28} {text}  [1σ {page.inner_text('#sol-sigma')}]", flush=True)
         return text

@@ -10,7 +10,7 @@ import typer
 
 from simulator.cli.options import ScenarioFile, Seed, SetValues, option, switch
 
-_ACCESS, _PACE = "Access", "Pace"
+_ACCESS, _PACE, _DISPLAY = "Access", "Pace", "Stimulator"
 
 
 @dataclass(frozen=True)
@@ -46,3 +46,12 @@ class ServeRequest:
     lockstep: Annotated[
         bool, switch("--lockstep", "Take attitudes from a client, each of which makes one frame.", _PACE)
     ] = False
+    stimulator: Annotated[
+        Path | None,
+        option(
+            "--stimulator", "FILE.yaml", "Calibrated display before a real tracker; its page is /stimulator.", _DISPLAY
+        ),
+    ] = None
+    refresh_hz: Annotated[
+        float, option("--refresh-hz", "HZ", "Pictures a second for the display: its refresh rate.", _DISPLAY)
+    ] = 60.0

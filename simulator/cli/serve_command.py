@@ -10,6 +10,7 @@ import threading
 from simulator.checks import load_scenario
 from simulator.cli.live_request import ServeRequest
 from simulator.live.server import LiveServer, ServerOptions
+from simulator.live.stimulator import read_stimulator
 from startracker.errors import InputError
 
 
@@ -17,6 +18,8 @@ def main(request: ServeRequest) -> int:
     """Serve until Ctrl-C or SIGTERM; exit status 0."""
     if not 0.001 <= request.speed <= 1000.0:
         raise InputError(f"--speed: must be from 0.001 to 1000, not {request.speed:g}")
+    if not 1.0 <= request.refresh_hz <= 500.0:
+        raise InputError(f"--refresh-hz: must be from 1 to 500, not {request.refresh_hz:g}")
     for option, port in (("--port", request.port), ("--tcp", request.tcp)):
         if port is not None and not 0 <= port <= 65535:
             raise InputError(f"{option}: must be from 0 to 65535, not {port}")
@@ -31,6 +34,8 @@ def main(request: ServeRequest) -> int:
         speed=request.speed,
         paused=request.paused,
         lockstep=request.lockstep,
+        stimulator=None if request.stimulator is None else read_stimulator(request.stimulator),
+        refresh_hz=request.refresh_hz,
     )
     server = LiveServer(scenario, options)
     _stop_on_signals(server)

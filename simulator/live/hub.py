@@ -13,6 +13,7 @@ from simulator.live.protocol import (
     ServerMessage,
     SolutionMessage,
     StateMessage,
+    StimulusMessage,
     Subscribe,
     TruthMessage,
 )
@@ -40,6 +41,8 @@ class Published:
     """None if no client wants it."""
     frames: dict[str, tuple[FrameHeader, Encoded]]
     """By format, those that a client wants; empty without a frame."""
+    stimulus: tuple[StimulusMessage, bytes] | None = None
+    """None if no client wants it."""
 
 
 class Subscriber:
@@ -48,6 +51,8 @@ class Subscriber:
     def __init__(self) -> None:
         self.wants: Subscribe | None = None
         """What the client has asked for; None before."""
+        self.late_pictures = 0
+        """Of a display, as it says."""
         self._replies: deque[Outgoing] = deque()
         self._newest: Published | None = None
         self._missed = 0
@@ -61,12 +66,12 @@ class Subscriber:
 
     def publish(self, published: Published) -> None:
         """Put a frame into the outbox, in place of one that is still there."""
-        if any(self.wants_frame(published.index, channel) for channel in ("frame", "solution", "truth")):
+        if any(self.wants_frame(published.index, channel) for channel in ("frame", "solution", "truth", "stimulus")):
             self._missed += self._newest is not None
             self._newest = published
             self._filled.set()
 
-    def tell(self, state: StateMessage) -> None:
+    def put_state(self, state: StateMessage) -> None:
         """Put a state into the outbox."""
         if self.wants is not None and "state" in self.wants.channels:
             self._state = state
@@ -114,6 +119,9 @@ class Subscriber:
             taken.append(Outgoing(published.solution.model_copy(update=missed)))
         if published.truth is not None and self.wants_frame(index, "truth"):
             taken.append(Outgoing(published.truth.model_copy(update=missed)))
+        if published.stimulus is not None and self.wants_frame(index, "stimulus"):
+            message, pixels = published.stimulus
+            taken.append(Outgoing(message.model_copy(update=missed), pixels))
         return taken
 
 
@@ -128,16 +136,16 @@ class Hub:
         wanting = [s.wants for s in list(self.subscribers) if s.wants_frame(index, "frame")]
         return {wants.frame_format for wants in wanting if wants is not None}
 
-    def wants_truth(self, index: int) -> bool:
-        """Whether a client wants the truth of a frame."""
-        return any(s.wants_frame(index, "truth") for s in list(self.subscribers))
+    def wants(self, index: int, channel: str) -> bool:
+        """Whether a client wants a channel of a frame."""
+        return any(s.wants_frame(index, channel) for s in list(self.subscribers))
 
     def publish(self, published: Published) -> None:
         """Give a frame to all who want it."""
         for subscriber in self.subscribers:
             subscriber.publish(published)
 
-    def tell(self, state: StateMessage) -> None:
+    def put_state(self, state: StateMessage) -> None:
         """Give a state to all who want it."""
         for subscriber in self.subscribers:
-            subscriber.tell(state)
+            subscriber.put_state(state)

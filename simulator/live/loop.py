@@ -22,6 +22,7 @@ from simulator.live.messages import camera_info, frame_header, solution_message,
 from simulator.live.mission import LiveMission
 from simulator.live.motion import Given
 from simulator.live.protocol import ClientMessage, Refused
+from simulator.live.stimulus import Stimulus
 from startracker._version import __version__
 from startracker.errors import BoresightError
 
@@ -59,10 +60,20 @@ class MissionLoop:
         Factor on real time.
     paused : bool
         Begin paused.
+    stimulus : Stimulus, optional
+        Display before a real tracker.
     """
 
-    def __init__(self, mission: LiveMission, recordings: Path, *, speed: float = 1.0, paused: bool = False) -> None:
-        self.mission, self.hub = mission, Hub()
+    def __init__(
+        self,
+        mission: LiveMission,
+        recordings: Path,
+        *,
+        speed: float = 1.0,
+        paused: bool = False,
+        stimulus: Stimulus | None = None,
+    ) -> None:
+        self.mission, self.hub, self.stimulus = mission, Hub(), stimulus
         self.speed, self.paused, self.lockstep = speed, paused, False
         self.late_frames, self.notice = 0, ""
         self.recordings = recordings
@@ -83,7 +94,7 @@ class MissionLoop:
     # ------------------------------------------------------------------ the loop
     async def run(self) -> None:
         """Make frames until `close`."""
-        states = asyncio.create_task(self._tell_states())
+        states = asyncio.create_task(self._send_states())
         try:
             while not self._closing:
                 turn = await self._next_turn()
@@ -129,7 +140,7 @@ class MissionLoop:
         return None
 
     async def _make(self, turn: _Turn) -> None:
-        """Make a frame and publish it; a failure stops the mission, or is told to who gave the attitude."""
+        """Make a frame and publish it; a failure pauses the mission, or is reported to the client of the attitude."""
         self._steps = max(self._steps - 1, 0)
         try:
             published = await self._in_worker(self._frame, turn)
@@ -172,14 +183,18 @@ class MissionLoop:
         begun_s = turn.given.received_s if turn.given is not None else turn.due_s
         latency_ms = (time.perf_counter() - begun_s) * 1e3
         solution = solution_message(live, mission.camera.session, latency_ms)
-        truth = truth_message(live) if hub.wants_truth(index) else None
+        truth = truth_message(live) if hub.wants(index, "truth") else None
         frames = {}
         for form in hub.formats(index):
             if frame is None:
                 break
             encoded = encode(frame, form)
             frames[form] = (frame_header(live, form, encoded), encoded)
-        return Published(index, solution, truth, frames)
+        stimulus = None
+        if self.stimulus is not None and hub.wants(index, "stimulus"):
+            held = self.paused or self.lockstep
+            stimulus = self.stimulus.message(live, 0.0 if held else mission.step_s, self.speed)
+        return Published(index, solution, truth, frames, stimulus)
 
     # ------------------------------------------------------------------ what it says of itself
     @property
@@ -189,7 +204,7 @@ class MissionLoop:
 
     @property
     def frame_rate_hz(self) -> float:
-        """Frames a second over the last two seconds."""
+        """Frames per second over the last two seconds."""
         since_s = time.perf_counter() - _RATE_WINDOW_S
         return sum(made_s > since_s for made_s in self._made_s) / _RATE_WINDOW_S
 
@@ -205,7 +220,7 @@ class MissionLoop:
             step_s=mission.step_s,
             parameters=mission.parameters(),
             commands=list(protocol.COMMANDS),
-            channels=_CHANNELS,
+            channels=[*_CHANNELS, *(["stimulus"] if self.stimulus is not None else [])],
         )
 
     def state(self) -> protocol.StateMessage:
@@ -223,19 +238,20 @@ class MissionLoop:
             recording=None if self.recording_folder is None else str(self.recording_folder),
             clients=len(self.hub.subscribers),
             late_frames=self.late_frames,
+            late_pictures=sum(subscriber.late_pictures for subscriber in self.hub.subscribers),
             frame_rate_hz=self.frame_rate_hz,
             notice=self.notice,
             parameters=self._values,
         )
 
-    async def _tell_states(self) -> None:
-        """Tell the state when it has changed."""
+    async def _send_states(self) -> None:
+        """Send the state when it has changed."""
         before = None
         while True:
             await asyncio.sleep(_STATE_S)
             now = self.state()
             if now != before:
-                self.hub.tell(now)
+                self.hub.put_state(now)
                 before = now
 
     # ------------------------------------------------------------------ what clients ask
@@ -338,7 +354,7 @@ class MissionLoop:
         self.lockstep, self._newest, self._due_s = lockstep, None, time.perf_counter()
 
     def _change_source(self, external: bool) -> None:
-        """In the worker: another source, or another way of external attitudes, for which the tracker starts anew."""
+        """In the worker: another source, or another way of external attitudes, for which the tracker starts again."""
         if external == self.mission.external:
             self.mission.use_source(external=False)
         self.mission.use_source(external=external)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.environment.transients import Transients
 from simulator.live.motion import Given, ScenarioMotion, turned_on
@@ -26,8 +25,6 @@ from startracker.errors import BoresightError, InputError
 from startracker.tracking import GyroNoise, RateNoise
 
 __all__ = ["LiveFrame", "LiveMission"]
-
-FloatArray = NDArray[np.float64]
 
 _PLANNED_FRAMES = 64
 """Frames whose ephemerides are computed together."""
@@ -176,7 +173,7 @@ class LiveMission:
             at_step = replace(self.motion.at(self._offset_s + since_s), t_s=t_s)
             state, rotation_rad = self.motion.on_mounting(at_step)
         else:
-            state, rotation_rad = turned_on(given, t_s), self.renderer.scenes.mounting_rotation_rad(t_s)
+            state, rotation_rad = turned_on(given.state, t_s), self.renderer.scenes.mounting_rotation_rad(t_s)
         missing = self.blinded or self._in_dropout(self._offset_s + since_s)
         if self.recording is not None:
             state = self.recording.exact(state)
@@ -253,7 +250,7 @@ class LiveMission:
         self.motion.add_rate(np.array(rate_deg_s))
 
     def seek(self, t_s: float) -> None:
-        """Jump to a time, seconds after the epoch: the next frame is there, and the tracker starts anew."""
+        """Jump to a time, seconds after the epoch: the next frame is there, and the tracker starts again."""
         start_s = self.scenario.sequence.start_s
         if self.external:
             raise Refused("state", "seek: the times come from outside")
@@ -271,7 +268,7 @@ class LiveMission:
         self.camera.begin(self._noise, None)
 
     def use_source(self, *, external: bool) -> None:
-        """Take attitudes from outside, or from the scenario at the time of the last frame; the tracker starts anew."""
+        """Take attitudes from outside, or from the scenario at the time of the last frame; the tracker starts again."""
         if self.recording is not None:
             raise Refused("state", "source: end the recording first")
         if external == self.external:
@@ -320,7 +317,7 @@ class LiveMission:
 
     # ------------------------------------------------------------------ recording
     def record(self) -> None:
-        """Begin a recording with the next frame: the tracker, the noise and the jitter start anew, as in ``run``."""
+        """Begin a recording with the next frame: the tracker, the noise and the jitter start again, as in ``run``."""
         if self.recording is not None:
             raise Refused("state", "record: there is a recording; end it first")
         following_s = self.t_s if self.index < 0 else self._zero_s + self._frames * self._step_s
@@ -341,5 +338,5 @@ class LiveMission:
 def _reason(error: Exception) -> str:
     """Reason of an invalid scenario without pydantic's heading."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [line for line in lines if line.startswith("Value error, ")]
-    return (told[0].removeprefix("Value error, ") if told else lines[0]).partition(" [type=")[0]
+    causes = [line for line in lines if line.startswith("Value error, ")]
+    return (causes[0].removeprefix("Value error, ") if causes else lines[0]).partition(" [type=")[0]

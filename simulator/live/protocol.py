@@ -34,7 +34,7 @@ LARGEST_RATE_DEG_S = 360.0
 """Largest rate of an attitude or a kick about one axis."""
 _NORM_TOLERANCE = 1e-3
 
-Channel = Literal["frame", "solution", "truth", "state"]
+Channel = Literal["frame", "solution", "truth", "state", "stimulus"]
 FrameFormat = Literal["png", "raw16", "fits", "none"]
 Rate = Annotated[FiniteFloat, Field(ge=-LARGEST_RATE_DEG_S, le=LARGEST_RATE_DEG_S)]
 Rates = tuple[Rate, Rate, Rate]
@@ -52,7 +52,7 @@ class Refused(Exception):
     code : str
         For programs: ``malformed``, ``invalid``, ``hello_first``, ``token``, ``rate``, ``busy``, ``state``.
     reason : str
-        For people, one line.
+        For display, one line.
     message_id : str or int, optional
         The message's ``id``, if it could be read.
     """
@@ -93,7 +93,7 @@ class Subscribe(_FromClient):
 
     type: Literal["subscribe"] = "subscribe"
     channels: tuple[Channel, ...]
-    """``frame``, ``solution``, ``truth``, ``state``."""
+    """``frame``, ``solution``, ``truth``, ``state``; ``stimulus``: pictures for a display before a real tracker."""
     frame_format: FrameFormat = "png"
     """``png``: 8 bits, stretched for display; ``raw16``: the digital numbers, 16 bits; ``fits``: the digital numbers
     with what the camera knows; ``none``: headers of the frames without pixels."""
@@ -113,6 +113,16 @@ class GivenAttitude(_FromClient):
     """ICRS to camera, scalar last, of length 1 within 0.1 %."""
     rate_deg_s: Rates = (0.0, 0.0, 0.0)
     """Inertial angular velocity in camera axes, °/s, at most 360 about each axis; it smears the stars."""
+
+
+class Shown(_FromClient):
+    """What a display before a tracker has shown since it connected; no reply without an ``id``."""
+
+    type: Literal["shown"] = "shown"
+    shown: Annotated[int, Field(ge=0)]
+    """Pictures shown."""
+    late: Annotated[int, Field(ge=0)]
+    """Pictures shown more than one and a half refreshes late, or too late to be shown at all."""
 
 
 class Set(_FromClient):
@@ -197,7 +207,7 @@ class Saa(_Command):
 
 
 class Seek(_Command):
-    """Jump to a time; the tracker starts anew."""
+    """Jump to a time; the tracker starts again."""
 
     name: Literal["seek"]
     t_s: Seconds
@@ -205,7 +215,7 @@ class Seek(_Command):
 
 
 class Record(_Command):
-    """Begin a recording that ``boresight run --sequence`` reads; the tracker starts anew."""
+    """Begin a recording that ``boresight run --sequence`` reads; the tracker starts again."""
 
     name: Literal["record"]
     folder: Annotated[str, Field(max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")] | None = None
@@ -219,15 +229,15 @@ class StopRecording(_Command):
 
 
 _Commands = Pause | Resume | Step | Speed | Source | Kick | Blind | Unblind | Saa | Seek | Record | StopRecording
-ClientMessage = Hello | Subscribe | GivenAttitude | Set | _Commands
+ClientMessage = Hello | Subscribe | GivenAttitude | Shown | Set | _Commands
 _ANY: TypeAdapter[ClientMessage] = TypeAdapter(
     Annotated[
-        Hello | Subscribe | GivenAttitude | Set | Annotated[_Commands, Field(discriminator="name")],
+        Hello | Subscribe | GivenAttitude | Shown | Set | Annotated[_Commands, Field(discriminator="name")],
         Field(discriminator="type"),
     ]
 )
 CLIENT_MESSAGES: dict[str, type[_FromClient]] = {
-    kind.model_fields["type"].default: kind for kind in (Hello, Subscribe, GivenAttitude, Set)
+    kind.model_fields["type"].default: kind for kind in (Hello, Subscribe, GivenAttitude, Shown, Set)
 }
 """Messages of clients by type, except the commands."""
 COMMANDS: dict[str, type[_FromClient]] = {
@@ -287,7 +297,7 @@ class Parameter(BaseModel):
     path: str
     """Its name in ``set``: a key of the scenario."""
     label: str
-    """For people."""
+    """For display."""
     group: str
     """Heading under which it may be listed: camera, detector, motion, age."""
     unit: str
@@ -372,7 +382,7 @@ class Error(ServerMessage):
     ``hello_first``; ``token``; ``rate``: too many messages; ``busy``: too many clients; ``state``: not
     possible now; ``failed``: a frame could not be made."""
     reason: str
-    """One line for people."""
+    """One line for display."""
 
 
 class _OfFrame(ServerMessage):
@@ -498,6 +508,47 @@ class TruthMessage(_OfFrame):
     """The baffle's exclusion angles."""
 
 
+class Picture(BaseModel):
+    """One picture of a display."""
+
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True)
+    t_s: float
+    """When it is to be shown, s after the scenario's epoch."""
+    pixels: int
+    """Number of lit pixels; all others are black."""
+
+
+class StimulusMessage(_OfFrame):
+    """Pictures from one frame to the next, for the true attitude at the frame, turned on with the true rate.
+
+    The lit pixels of all pictures in turn follow as one binary message, or over TCP as base64 in ``data``: eight bytes
+    each, column and row as little-endian 16-bit integers, levels of red, green and blue from 0 to 255, and a zero.
+    """
+
+    channel = "stimulus"
+    type: Literal["stimulus"] = "stimulus"
+    width: int
+    """Columns of the display."""
+    height: int
+    """Rows of the display."""
+    speed: float
+    """Factor on real time."""
+    paced: bool
+    """Whether the pictures follow the clock; otherwise (paused, or in lockstep) there is one, to be shown at once."""
+    pictures: list[Picture]
+    """In the order of their times."""
+    bytes: int
+    """Number of bytes that follow."""
+    stars: int
+    """Stars in the first picture."""
+    clipped: int
+    """Those with a pixel beyond the display's brightest level."""
+    faint: int
+    """Those whose brightness is wrong by more than 0.1 mag, as the levels are too coarse for them."""
+    data: str | None = None
+    """TCP only: the bytes as base64."""
+
+
 class StateMessage(ServerMessage):
     """State of the mission; sent on change, at most four times a second."""
 
@@ -525,8 +576,10 @@ class StateMessage(ServerMessage):
     """Number of clients."""
     late_frames: int
     """Frames made later than they were due by more than a step of the mission."""
+    late_pictures: int
+    """Pictures that connected displays showed too late, or not at all."""
     frame_rate_hz: float
-    """Frames a second of real time, over the last two seconds."""
+    """Frames per second of real time, over the last two seconds."""
     notice: str
     """What happened last without being asked for, such as the end of a recording; empty if nothing."""
     parameters: dict[str, float]
@@ -535,12 +588,12 @@ class StateMessage(ServerMessage):
 
 SERVER_MESSAGES: dict[str, type[ServerMessage]] = {
     kind.model_fields["type"].default: kind
-    for kind in (Welcome, FrameHeader, SolutionMessage, TruthMessage, StateMessage, Reply, Error)
+    for kind in (Welcome, FrameHeader, SolutionMessage, TruthMessage, StimulusMessage, StateMessage, Reply, Error)
 }
 """Messages of the server by type."""
 
 
 def dump(message: ServerMessage) -> str:
     """A message as one line of JSON."""
-    excluded: Any = {"data"} if isinstance(message, FrameHeader) and message.data is None else None
+    excluded: Any = {"data"} if isinstance(message, FrameHeader | StimulusMessage) and message.data is None else None
     return message.model_dump_json(exclude=excluded)

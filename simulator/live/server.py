@@ -19,6 +19,8 @@ from simulator.live.mission import LiveMission
 from simulator.live.protocol import LARGEST_MESSAGE_BYTES, Error, dump
 from simulator.live.security import Access
 from simulator.live.session import Session, SessionEnded
+from simulator.live.stimulator import Stimulator
+from simulator.live.stimulus import Stimulus
 from simulator.live.tcp import LineServer
 from simulator.scenario import Scenario
 from startracker.errors import BoresightError, InputError
@@ -63,6 +65,10 @@ class ServerOptions:
     """Begin paused."""
     lockstep: bool = False
     """Begin with external attitudes in lockstep."""
+    stimulator: Stimulator | None = None
+    """Calibrated display before a real tracker, whose pictures are sent on the channel ``stimulus``."""
+    refresh_hz: float = 60.0
+    """Pictures a second of real time for the display."""
 
 
 class LiveServer:
@@ -128,7 +134,10 @@ class LiveServer:
         import uvicorn
 
         options, running = self.options, asyncio.get_running_loop()
-        loop = MissionLoop(self.mission, options.recordings, speed=options.speed, paused=options.paused)
+        display = None if options.stimulator is None else Stimulus(options.stimulator, options.refresh_hz)
+        loop = MissionLoop(
+            self.mission, options.recordings, speed=options.speed, paused=options.paused, stimulus=display
+        )
         self.loop = loop
         if options.lockstep:
             await loop.use_source(external=True, lockstep=True)

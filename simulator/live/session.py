@@ -6,7 +6,7 @@ import logging
 
 from simulator.live.hub import Subscriber
 from simulator.live.loop import MissionLoop
-from simulator.live.protocol import Error, GivenAttitude, Hello, Refused, Reply, Subscribe, parse
+from simulator.live.protocol import Error, GivenAttitude, Hello, Refused, Reply, Shown, Subscribe, parse
 from simulator.live.security import Access, TokenBucket
 
 __all__ = ["MOST_CLIENTS", "Session", "SessionEnded"]
@@ -75,8 +75,10 @@ class Session:
                 raise Refused("hello_first", "the first message must be a hello")
             if isinstance(message, Subscribe):
                 self.subscriber.wants = message
-                self.subscriber.tell(self.loop.state())
+                self.subscriber.put_state(self.loop.state())
                 detail = ""
+            elif isinstance(message, Shown):
+                self.subscriber.late_pictures, detail = message.late, ""
             else:
                 detail = await self.loop.handle(message)
         except Refused as refused:
@@ -85,7 +87,7 @@ class Session:
         except Exception as error:  # a defect of ours ends neither the session nor the loop
             _log.exception("a message could not be handled")
             raise Refused("failed", f"{type(error).__name__}: {error}", message.id) from None
-        if message.id is not None or not isinstance(message, GivenAttitude):
+        if message.id is not None or not isinstance(message, GivenAttitude | Shown):
             self.subscriber.reply(Reply(id=message.id, detail=detail))
 
     def _greet(self, hello: Hello) -> None:

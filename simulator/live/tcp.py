@@ -8,7 +8,7 @@ import contextlib
 
 from simulator.live.hub import Outgoing
 from simulator.live.loop import MissionLoop
-from simulator.live.protocol import LARGEST_MESSAGE_BYTES, Error, FrameHeader, dump
+from simulator.live.protocol import LARGEST_MESSAGE_BYTES, Error, FrameHeader, StimulusMessage, dump
 from simulator.live.security import Access
 from simulator.live.session import Session, SessionEnded
 
@@ -102,7 +102,7 @@ async def _send_all(session: Session, writer: asyncio.StreamWriter) -> None:
 async def _send(writer: asyncio.StreamWriter, batch: list[Outgoing]) -> None:
     for message, data in batch:
         whole = message
-        if isinstance(message, FrameHeader) and data:
+        if isinstance(message, FrameHeader | StimulusMessage) and data:
             whole = message.model_copy(update={"data": base64.b64encode(data).decode()})
         writer.write(dump(whole).encode() + b"\n")
         async with asyncio.timeout(_STALLED_S):  # wait_for of Python 3.11 may lose a cancellation

@@ -70,12 +70,12 @@ export class Connection extends EventTarget {
 
   #receive(data) {
     if (typeof data !== "string") {
-      if (this.#header) this.#tell("frame", { ...this.#header, data });
+      if (this.#header) this.#tell(this.#header.type, { ...this.#header, data });
       this.#header = null;
       return;
     }
     const message = JSON.parse(data);
-    if (message.type === "frame") this.#header = message;
+    if (message.type === "frame" || message.type === "stimulus") this.#header = message;
     else if (message.type === "reply") this.#settle(message.id, message);
     else if (message.type === "error") this.#settle(message.id, { ...message, ok: false });
     else {

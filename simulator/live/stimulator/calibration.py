@@ -156,8 +156,8 @@ def align_display(stimulator: Stimulator, pattern: Pattern, photograph: Photogra
     )
     return moved, [
         (
-            f"{len(dots.lattice)} dots, residual {rms:.3f} px rms; aligned to {arcsec[0]:.3f}″, {arcsec[1]:.3f}″ across"
-            f" the boresight and {arcsec[2]:.2f}″ about it"
+            f"{len(dots.lattice)} dots, residual {rms:.3f} px rms; aligned to {arcsec[0]:.3f}″, {arcsec[1]:.3f}″ "
+            f"across the boresight and {arcsec[2]:.2f}″ about it"
         )
     ]
 

@@ -182,7 +182,7 @@ class Photometry:
         picture : int
             Number of the picture, for ``temporal``.
         """
-        room = self.relative(pixels)[:, None] * self.full
+        room = self._uniform[pixels[:, 1], pixels[:, 0], None] * self.full
         order = np.lexsort((-wanted, star))
         driven = np.argsort(-self.full, kind="stable")[: len(self.curve)]
         threshold = np.full(len(pixels), 0.5)
@@ -192,6 +192,13 @@ class Photometry:
         rgb, flux = np.zeros((len(pixels), 3), np.uint8), np.zeros(len(pixels))
         quantise(order, star, wanted, room, self._tables, driven, threshold, dithering == "spatial", rgb, flux)
         return Levels(rgb, flux, room.sum(axis=1))
+
+    @cached_property
+    def _uniform(self) -> FloatArray:
+        """U (H, W) of all pixels."""
+        columns, rows = self.size
+        pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+        return self.relative(pixels).reshape(rows, columns)
 
     @cached_property
     def _tables(self) -> FloatArray:

@@ -28,6 +28,10 @@ FAINT_MAG = 0.1
 """A star whose displayed brightness is further from the one wanted is counted as too faint, or as clipped."""
 
 
+_LEAST_PART = 1e-5
+"""Pixels with less of a star's light stay black: together 2e-4 of it, symmetric about the star."""
+
+
 class DisplayPicture(NamedTuple):
     """Lit pixels of a display, and the stars (M,) on it."""
 
@@ -129,9 +133,10 @@ class Stimulator:
         """Picture of stars at display pixels (M, 2)."""
         width, height = self.geometry.size
         near, weight = _spot(position, self.spot_px)
-        kept = ((near >= 0) & (near < [width, height])).all(axis=2)
+        x, y = near[..., 0], near[..., 1]
+        kept = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (weight > _LEAST_PART)
         owner = np.broadcast_to(np.arange(len(position))[:, None], kept.shape)[kept]
-        cell, part = (near @ np.array([1, width]))[kept], (weight * 10.0 ** (-0.4 * magnitude[:, None]))[kept]
+        cell, part = (y * width + x)[kept], (weight * 10.0 ** (-0.4 * magnitude[:, None]))[kept]
         cells, where = np.unique(cell, return_inverse=True)
         wanted = np.bincount(where, part, len(cells)).astype(float)
         most = np.empty(len(cells), np.int64)
