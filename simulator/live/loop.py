@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from simulator.live import protocol
+from simulator.live import answers, protocol
 from simulator.live.hub import Hub, Published
 from simulator.live.images import encode
 from simulator.live.messages import camera_info, frame_header, solution_message, truth_message
@@ -208,10 +208,10 @@ class MissionLoop:
         since_s = time.perf_counter() - _RATE_WINDOW_S
         return sum(made_s > since_s for made_s in self._made_s) / _RATE_WINDOW_S
 
-    def welcome(self) -> protocol.Welcome:
+    def welcome(self) -> answers.Welcome:
         """Answer to ``hello``."""
         mission = self.mission
-        return protocol.Welcome(
+        return answers.Welcome(
             protocol=protocol.PROTOCOL,
             version=__version__,
             scenario=mission.scenario.name,
@@ -223,10 +223,10 @@ class MissionLoop:
             channels=[*_CHANNELS, *(["stimulus"] if self.stimulus is not None else [])],
         )
 
-    def state(self) -> protocol.StateMessage:
+    def state(self) -> answers.StateMessage:
         """Present state."""
         mission = self.mission
-        return protocol.StateMessage(
+        return answers.StateMessage(
             running=not self.paused and not self.is_waiting,
             paused=self.paused,
             speed=self.speed,

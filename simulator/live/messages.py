@@ -8,16 +8,9 @@ from typing import Any
 import numpy as np
 
 from simulator.constants import EARTH_RADIUS_KM
+from simulator.live.answers import CameraInfo, Exclusions, FrameHeader, MatchedStar, SolutionMessage, TruthMessage
 from simulator.live.images import Encoded
 from simulator.live.mission import LiveFrame
-from simulator.live.protocol import (
-    CameraInfo,
-    Exclusions,
-    FrameHeader,
-    MatchedStar,
-    SolutionMessage,
-    TruthMessage,
-)
 from simulator.renderer import Renderer
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
