@@ -244,7 +244,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="cubesat_ideal")
     parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--rate", type=float, default=50.0, help="frames a second")
+    parser.add_argument("--rate", type=float, default=50.0, help="frames per second")
     given = parser.parse_args()
     result = soak(scenario_of(given.scenario, given.rate), given.minutes, given.rate)
     print(json.dumps(result, indent=1))

@@ -89,7 +89,7 @@ def calibrate_command(
     ],
     zero_point: Annotated[
         float | None,
-        option("--zero-point", "MAG", "Magnitude of a star that gives 1 DN a second; default: that of --scenario."),
+        option("--zero-point", "MAG", "Magnitude of a star that gives 1 DN per second; default: that of --scenario."),
     ] = None,
     gain_e_per_dn: Annotated[
         float | None, option("--gain", "G", "Electrons per DN of the camera; default: that of --scenario.")

@@ -7,16 +7,16 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from simulator.live.images import Encoded
-from simulator.live.protocol import (
+from simulator.live.answers import (
     FrameHeader,
     ServerMessage,
     SolutionMessage,
     StateMessage,
     StimulusMessage,
-    Subscribe,
     TruthMessage,
 )
+from simulator.live.images import Encoded
+from simulator.live.protocol import Subscribe
 
 __all__ = ["Hub", "Outgoing", "Published", "Subscriber"]
 
@@ -71,7 +71,7 @@ class Subscriber:
             self._newest = published
             self._filled.set()
 
-    def tell(self, state: StateMessage) -> None:
+    def put_state(self, state: StateMessage) -> None:
         """Put a state into the outbox."""
         if self.wants is not None and "state" in self.wants.channels:
             self._state = state
@@ -145,7 +145,7 @@ class Hub:
         for subscriber in self.subscribers:
             subscriber.publish(published)
 
-    def tell(self, state: StateMessage) -> None:
+    def put_state(self, state: StateMessage) -> None:
         """Give a state to all who want it."""
         for subscriber in self.subscribers:
-            subscriber.tell(state)
+            subscriber.put_state(state)

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from simulator.live import protocol
+from simulator.live import answers, protocol
 from simulator.live.hub import Hub, Published
 from simulator.live.images import encode
 from simulator.live.messages import camera_info, frame_header, solution_message, truth_message
@@ -94,7 +94,7 @@ class MissionLoop:
     # ------------------------------------------------------------------ the loop
     async def run(self) -> None:
         """Make frames until `close`."""
-        states = asyncio.create_task(self._tell_states())
+        states = asyncio.create_task(self._send_states())
         try:
             while not self._closing:
                 turn = await self._next_turn()
@@ -140,7 +140,7 @@ class MissionLoop:
         return None
 
     async def _make(self, turn: _Turn) -> None:
-        """Make a frame and publish it; a failure stops the mission, or is told to who gave the attitude."""
+        """Make a frame and publish it; a failure pauses the mission, or is reported to the client of the attitude."""
         self._steps = max(self._steps - 1, 0)
         try:
             published = await self._in_worker(self._frame, turn)
@@ -204,14 +204,14 @@ class MissionLoop:
 
     @property
     def frame_rate_hz(self) -> float:
-        """Frames a second over the last two seconds."""
+        """Frames per second over the last two seconds."""
         since_s = time.perf_counter() - _RATE_WINDOW_S
         return sum(made_s > since_s for made_s in self._made_s) / _RATE_WINDOW_S
 
-    def welcome(self) -> protocol.Welcome:
+    def welcome(self) -> answers.Welcome:
         """Answer to ``hello``."""
         mission = self.mission
-        return protocol.Welcome(
+        return answers.Welcome(
             protocol=protocol.PROTOCOL,
             version=__version__,
             scenario=mission.scenario.name,
@@ -223,10 +223,10 @@ class MissionLoop:
             channels=[*_CHANNELS, *(["stimulus"] if self.stimulus is not None else [])],
         )
 
-    def state(self) -> protocol.StateMessage:
+    def state(self) -> answers.StateMessage:
         """Present state."""
         mission = self.mission
-        return protocol.StateMessage(
+        return answers.StateMessage(
             running=not self.paused and not self.is_waiting,
             paused=self.paused,
             speed=self.speed,
@@ -244,14 +244,14 @@ class MissionLoop:
             parameters=self._values,
         )
 
-    async def _tell_states(self) -> None:
-        """Tell the state when it has changed."""
+    async def _send_states(self) -> None:
+        """Send the state when it has changed."""
         before = None
         while True:
             await asyncio.sleep(_STATE_S)
             now = self.state()
             if now != before:
-                self.hub.tell(now)
+                self.hub.put_state(now)
                 before = now
 
     # ------------------------------------------------------------------ what clients ask
@@ -354,7 +354,7 @@ class MissionLoop:
         self.lockstep, self._newest, self._due_s = lockstep, None, time.perf_counter()
 
     def _change_source(self, external: bool) -> None:
-        """In the worker: another source, or another way of external attitudes, for which the tracker starts anew."""
+        """In the worker: another source, or another way of external attitudes, for which the tracker starts again."""
         if external == self.mission.external:
             self.mission.use_source(external=False)
         self.mission.use_source(external=external)

@@ -6,29 +6,20 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.constants import EARTH_RADIUS_KM
+from simulator.live.answers import CameraInfo, Exclusions, FrameHeader, MatchedStar, SolutionMessage, TruthMessage
 from simulator.live.images import Encoded
 from simulator.live.mission import LiveFrame
-from simulator.live.protocol import (
-    CameraInfo,
-    Exclusions,
-    FrameHeader,
-    MatchedStar,
-    SolutionMessage,
-    TruthMessage,
-)
 from simulator.renderer import Renderer
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from startracker.arrays import FloatArray
 from startracker.catalog.names import designation, proper_name
 from startracker.solution import Solution
 from startracker.tracking import TrackingSession
 
 __all__ = ["camera_info", "frame_header", "solution_message", "truth_message"]
-
-FloatArray = NDArray[np.float64]
 
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.environment.transients import Transients
+from simulator.live.answers import Parameter
 from simulator.live.motion import Given, ScenarioMotion, turned_on
 from simulator.live.parameters import RATE_PATHS, ParameterTable
-from simulator.live.protocol import Parameter, Refused
+from simulator.live.protocol import Refused
 from simulator.live.recording import Recording
 from simulator.mission.epochs import elapsed_s
 from simulator.randomness import stream
@@ -26,8 +26,6 @@ from startracker.errors import BoresightError, InputError
 from startracker.tracking import GyroNoise, RateNoise
 
 __all__ = ["LiveFrame", "LiveMission"]
-
-FloatArray = NDArray[np.float64]
 
 _PLANNED_FRAMES = 64
 """Frames whose ephemerides are computed together."""
@@ -253,7 +251,7 @@ class LiveMission:
         self.motion.add_rate(np.array(rate_deg_s))
 
     def seek(self, t_s: float) -> None:
-        """Jump to a time, seconds after the epoch: the next frame is there, and the tracker starts anew."""
+        """Jump to a time, seconds after the epoch: the next frame is there, and the tracker starts again."""
         start_s = self.scenario.sequence.start_s
         if self.external:
             raise Refused("state", "seek: the times come from outside")
@@ -271,7 +269,7 @@ class LiveMission:
         self.camera.begin(self._noise, None)
 
     def use_source(self, *, external: bool) -> None:
-        """Take attitudes from outside, or from the scenario at the time of the last frame; the tracker starts anew."""
+        """Take attitudes from outside, or from the scenario at the time of the last frame; the tracker starts again."""
         if self.recording is not None:
             raise Refused("state", "source: end the recording first")
         if external == self.external:
@@ -320,7 +318,7 @@ class LiveMission:
 
     # ------------------------------------------------------------------ recording
     def record(self) -> None:
-        """Begin a recording with the next frame: the tracker, the noise and the jitter start anew, as in ``run``."""
+        """Begin a recording with the next frame: the tracker, the noise and the jitter start again, as in ``run``."""
         if self.recording is not None:
             raise Refused("state", "record: there is a recording; end it first")
         following_s = self.t_s if self.index < 0 else self._zero_s + self._frames * self._step_s
@@ -341,5 +339,5 @@ class LiveMission:
 def _reason(error: Exception) -> str:
     """Reason of an invalid scenario without pydantic's heading."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [line for line in lines if line.startswith("Value error, ")]
-    return (told[0].removeprefix("Value error, ") if told else lines[0]).partition(" [type=")[0]
+    causes = [line for line in lines if line.startswith("Value error, ")]
+    return (causes[0].removeprefix("Value error, ") if causes else lines[0]).partition(" [type=")[0]

@@ -6,18 +6,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.build import sequence_motion
 from simulator.mission.motion import BodyMotion, MotionState, on_mounting
 from simulator.mission.pointing import Pointing
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 
 __all__ = ["Given", "ScenarioMotion", "turned_on"]
-
-FloatArray = NDArray[np.float64]
 
 
 class Given(NamedTuple):
@@ -89,7 +87,7 @@ class ScenarioMotion:
         self._body.add_rate(np.radians(rate_deg_s))
 
     def jump(self, since_s: float) -> None:
-        """Begin anew at a time: where the scenario's own motion is then, with the rates that were added."""
+        """Begin again at a time: where the scenario's own motion is then, with the rates that were added."""
         self._body = self._begin()
         if since_s > 0.0:
             self._body.at(since_s)

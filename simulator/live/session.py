@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 
+from simulator.live.answers import Error, Reply
 from simulator.live.hub import Subscriber
 from simulator.live.loop import MissionLoop
-from simulator.live.protocol import Error, GivenAttitude, Hello, Refused, Reply, Shown, Subscribe, parse
+from simulator.live.protocol import GivenAttitude, Hello, Refused, Shown, Subscribe, parse
 from simulator.live.security import Access, TokenBucket
 
 __all__ = ["MOST_CLIENTS", "Session", "SessionEnded"]
@@ -75,7 +76,7 @@ class Session:
                 raise Refused("hello_first", "the first message must be a hello")
             if isinstance(message, Subscribe):
                 self.subscriber.wants = message
-                self.subscriber.tell(self.loop.state())
+                self.subscriber.put_state(self.loop.state())
                 detail = ""
             elif isinstance(message, Shown):
                 self.subscriber.late_pictures, detail = message.late, ""

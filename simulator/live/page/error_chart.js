@@ -5,7 +5,7 @@ import { duration, significant } from "./format.js";
 
 const AXES = ["about x", "about y", "about the boresight, z"], NARROW_AXES = ["about x", "about y", "about z"];
 const WINDOWS_S = [10, 30, 60, 300, 1800, 7200];
-const LEFT = 52, RIGHT = 8, BOTTOM = 20, GAP = 22, TOP = 18, BIN_PX = 1, INTERVAL_MS = 50;
+const LEFT = 52, RIGHT = 8, BOTTOM = 20, GAP = 22, TOP = 18, BIN_PX = 1, INTERVAL_MS = 50, MANY_ROWS = 5000;
 
 export class ErrorChart {
   #log = false;
@@ -53,6 +53,7 @@ export class ErrorChart {
 
   #draw(context, width, height) {
     const rows = this.#rows(), newest = rows.at(-1)?.x ?? 0;
+    this.surface.interval = rows.length > MANY_ROWS ? 4 * INTERVAL_MS : INTERVAL_MS;
     const high = (height - TOP - BOTTOM - 2 * GAP) / 3;
     const x = (row) => width - RIGHT - ((newest - row.x) / this.#window) * (width - LEFT - RIGHT);
     context.font = SMALL;
