@@ -49,16 +49,19 @@ def _remembered_signatures() -> Shortcut:
 
     resolve, options = BaseFunction.get_call_type, TargetConfig._values
     values = tuple(getattr(types, name) for name in _VALUES)
-    known: dict[Any, tuple[Any, Any]] = {}
+    known: dict[Any, tuple[Any, Any, Any]] = {}
 
     def get_call_type(self: Any, context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
-        if kws or not all(isinstance(argument, values) for argument in args):
+        if kws or not hasattr(self, "_impl_keys") or not all(isinstance(argument, values) for argument in args):
             return resolve(self, context, args, kws)
         flags = ConfigStack.top_or_none()
         key = id(self), args, None if flags is None else repr(options.__get__(flags))
         if key not in known:
-            known[key] = resolve(self, context, args, kws), self  # which keeps the function, and so its id
-        return known[key][0]
+            found: Any = resolve(self, context, args, kws)
+            known[key] = found, self._impl_keys[found.args], self  # the last keeps its id
+        signature, implementation, _ = known[key]
+        self._impl_keys[signature.args] = implementation  # compiled with these options, not another kernel's
+        return signature
 
     return BaseFunction, "get_call_type", get_call_type
 

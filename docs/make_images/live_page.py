@@ -74,7 +74,7 @@ class Lesson:
         """The same after enough frames for a window of its own."""
         self.page.select_option("#window", "10")
         self.frames()
-        self.page.wait_for_timeout(5500)  # the page tells its figures every five seconds
+        self.page.wait_for_timeout(5500)  # the page updates its figures every five seconds
         return self.says(what)
 
     def draw(self, name: str, selector: str | None = None) -> None:

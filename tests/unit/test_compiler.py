@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numba import njit
+from numba import njit, types
 from numba.core import ir
+from numba.core.registry import cpu_target
 from numba.core.types.functions import BaseFunction
 
 from startracker.compiler import _SHORTCUTS, shortcuts
@@ -84,3 +85,19 @@ def test_numba_is_as_before_after_the_outermost_context():
         assert hasattr(ir.Scope, "__deepcopy__")
         raise KeyError
     assert (BaseFunction.get_call_type, hasattr(ir.Scope, "__deepcopy__")) == before
+
+
+def _greater_and_ratio(a, b):
+    return max(a, b) + a / b
+
+
+def test_options_of_one_kernel_are_not_those_of_another():
+    """The maximum of two numbers is compiled with the options of the kernel that calls it, also when its signature is
+    remembered and kernels with other options have been compiled since."""
+    used = []
+    with shortcuts():
+        for options in ({}, {"fastmath": True}) * 2:
+            assert njit(error_model="numpy", **options)(_greater_and_ratio)(1.0, 0.0) == np.inf
+            greatest = cpu_target.typing_context.resolve_value_type(max)
+            used.append(greatest.get_impl_key(types.float64(types.StarArgUniTuple(types.float64, 2))))
+    assert used[0] is used[2] is not used[1] is used[3]
