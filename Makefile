@@ -22,6 +22,9 @@ run: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
+# Python's compiled modules are kept even where the environment says otherwise: each process of a test loads them.
+test test-all: export PYTHONDONTWRITEBYTECODE :=
+
 test-all: $(VENV)/.installed-oracles
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m '' --hypothesis-profile=explore
 

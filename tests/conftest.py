@@ -1,5 +1,7 @@
 """Settings of all tests."""
 
+import os
+
 import pytest
 from hypothesis import settings
 
@@ -19,3 +21,14 @@ def process_of_pages():
         before = drawing.in_a_process
         patch.setattr(drawing, "in_a_process", drawing.answer)
         yield before
+
+
+@pytest.fixture(autouse=True, scope="session")
+def one_core_each():
+    """The processes of pytest-xdist share the cores: none of them starts another that compiles beside it."""
+    with pytest.MonkeyPatch.context() as patch:
+        if "PYTEST_XDIST_WORKER" in os.environ:
+            from simulator.study.trials import warm_up
+
+            patch.setattr(warm_up, "_cores", lambda: 1)
+        yield

@@ -16,8 +16,8 @@ _NUMBER = re.compile(r"[-−+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _PICTURES = ("image/png", "image/jpeg")
 
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-LONG = {"accuracy", "greyling1995", "missions", "yee1999"}
-"""Notebooks of ten seconds and more of computing, whose functions have tests of their own."""
+LONG = {"accuracy", "greyling1995", "missions", "physics", "tracker", "yee1999"}
+"""Notebooks of seven seconds and more of computing, whose functions have tests of their own."""
 
 
 def code_cells(notebook):

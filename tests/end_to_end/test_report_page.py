@@ -85,7 +85,7 @@ def test_both_schemes_show_frames_as_a_camera_does(page, file):
 def test_paper_is_white_and_the_print_has_six_pages_at_most(page, file):
     assert faults_on_paper(page, file.as_uri(), most_pages=6) == []
     text = page.value("document.body.innerText")
-    assert "Scenario cubesat, digest " in text
+    assert "Scenario cubesat_ideal, digest " in text
     assert ", seed 1, boresight " in text
     assert " UTC" in text
 

@@ -14,7 +14,7 @@ from simulator.optics.splat import render_stars
 phase = st.floats(-0.5, 0.5)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(deadline=None)
 @given(phase, phase, st.floats(0.05, 4.0), st.floats(0.5, 2.0), st.floats(0.1, 1e7))
 def test_gaussian_keeps_its_flux(dx, dy, sigma, aspect, electrons):
     psf = build_psf(PsfModel(sigma_px=sigma), 2.0, (10.0 * aspect, 10.0))
@@ -22,7 +22,7 @@ def test_gaussian_keeps_its_flux(dx, dy, sigma, aspect, electrons):
     assert 1 - FLUX_LOSS <= image.sum() / electrons <= 1 + 1e-12
 
 
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 @given(phase, phase, st.sampled_from([0.2, 0.5, 2.0]), st.sampled_from([1.0, 13.75 / 16]))
 def test_airy_leaves_out_what_lies_beyond_its_edge(dx, dy, ring, aspect):
     """What is drawn is the encircled energy of the radius drawn to, within 3e-4: where core meets wings, means over
@@ -54,7 +54,7 @@ def tables():
 TABLES = tables()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(deadline=None)
 @given(phase, phase, st.sampled_from(sorted(TABLES)), st.floats(0, 7))
 def test_flux_of_a_table_does_not_hang_on_the_phase(dx, dy, name, log_electrons):
     """1e-6, as asked, at any brightness; what remains is the single precision of the table, 6e-8 a pixel."""
@@ -67,7 +67,7 @@ def test_flux_of_a_table_does_not_hang_on_the_phase(dx, dy, name, log_electrons)
     assert abs(images[0].sum() - images[1].sum()) < 1e-6 * electrons
 
 
-@settings(max_examples=100, deadline=None)
+@settings(deadline=None)
 @given(
     phase, phase, st.sampled_from(["gaussian", *sorted(TABLES)]), st.floats(0, 6), st.floats(0, 6.28), st.floats(0, 25)
 )
@@ -90,7 +90,7 @@ def _exact(low, high):
     return st.integers(low * 2**20, high * 2**20).map(lambda n: n / 2**20)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(deadline=None)
 @given(_exact(-40, 103), _exact(-40, 103), st.sampled_from(["gaussian", "airy"]), st.floats(1, 1e6))
 def test_part_off_the_image_is_a_window_of_the_whole(x, y, model, electrons):
     psf = build_psf(PsfModel(model=model, first_dark_ring_px=2.0), 2.0, (10.0, 10.0))
@@ -116,7 +116,7 @@ def test_no_edge_shows(model, log_electrons):
         assert edge * electrons <= WING_LIMIT_E * (1 + 1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(deadline=None)
 @given(st.floats(20, 44), st.floats(20, 44), st.floats(0.2, 15), st.floats(0.5, 1.25))
 def test_disk_keeps_its_flux(x, y, radius, aspect):
     image = np.zeros((64, 64))

@@ -49,7 +49,7 @@ def test_chi_square_of_twenty_injected_drifts():
     assert largest > 5.0  # the drifts were large against the uncertainties
 
 
-@pytest.mark.parametrize("roll_deg", [0.0, 0.4])
+@pytest.mark.parametrize("roll_deg", [pytest.param(0.0, marks=pytest.mark.slow), 0.4])
 def test_same_stars_in_every_frame(roll_deg):
     """Stars whose errors do not change from frame to frame, of the stated size: still within the bounds of χ²."""
     total, ignored = 0.0, 0.0

@@ -70,7 +70,7 @@ def test_vega():
 def test_within_an_arcsecond_of_floating_point():
     rng = np.random.default_rng(20)
     worst, solved = 0.0, 0
-    for number in range(2000):
+    for number in range(800):
         fov_deg = (2.0, 9.0, 20.0, 30.0)[number % 4]
         xy, vectors, _ = field(rng, int(rng.integers(3, 13)), fov_deg, 0.1)
         if not well_spread(xy):
@@ -83,7 +83,7 @@ def test_within_an_arcsecond_of_floating_point():
         around.append((answer.roll / 2**22 - roll) * math.cos(math.radians(center[1])))
         off = max(off, *(abs((a + 180) % 360 - 180) * 3600 for a in around[:2]))
         worst, solved = max(worst, off), solved + 1
-    assert solved > 1900
+    assert solved > 760
     assert worst < 1.0
 
 

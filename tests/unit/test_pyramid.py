@@ -92,7 +92,7 @@ def test_a_prior_confines_and_helps(guide, flux):
 @pytest.mark.parametrize("count", [8, 15, 25])
 def test_random_points_are_never_accepted(guide, count):
     rng = np.random.default_rng([24, count])
-    for _ in range(8):
+    for _ in range(4):
         vectors = guide.camera.unproject(rng.uniform(0, 511, (count, 2)))
         flux = 10 ** (-0.4 * np.sort(rng.uniform(2, 6.5, count)))
         found = pyramid(Observed(vectors, flux, np.full(count, 0.3 * guide.camera.pixel_rad)), guide, SETTINGS)

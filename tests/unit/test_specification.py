@@ -243,13 +243,13 @@ def test_interval_of_correlated_frames_covers_as_it_promises():
 
 # ------------------------------------------------------------------ predictions
 def test_percentile_of_a_mixture_against_a_sample():
-    """Of 300 attitudes × 20,000 normal errors: the sample's quantile scatters by √(p q / n) / density; the density from
+    """Of 300 attitudes × 4,000 normal errors: the sample's quantile scatters by √(p q / n) / density; the density from
     the share within ±2 % of it."""
     rng = np.random.default_rng(3)
     shape = rng.normal(size=(300, 3, 3)) * rng.gamma(1.0, 1.0, 300)[:, None, None] * 1e-5
     covariance = shape @ shape.transpose(0, 2, 1)
     to_body = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    errors = np.einsum("nij,nkj->nki", shape, rng.normal(size=(300, 20_000, 3))).reshape(-1, 3)
+    errors = np.einsum("nij,nkj->nki", shape, rng.normal(size=(300, 4_000, 3))).reshape(-1, 3)
     predicted = Predicted(covariance, to_body, 300, Specification.of_limits({"roll": 1.0}), 0.0)
     body = errors @ to_body.T
     samples = {"cross_x": errors[:, 0], "about_boresight": errors[:, 2], "roll": body[:, 0], "yaw": body[:, 2],
