@@ -24,6 +24,7 @@ from numba import njit, types
 from numba.core import event
 
 from startracker.compilation import expected_kernels, progress
+from startracker.compiler import shortcuts
 
 __all__ = ["clock", "is_compiled", "kernel", "kernel_part", "kernel_with", "processor_clock"]
 
@@ -67,7 +68,7 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     compile_now, name = dispatcher.compile, f"{function.__module__}:{function.__qualname__}"
 
     def compile_once(signature: Any) -> Any:
-        with _held(Path(dispatcher.stats.cache_path), name):
+        with _held(Path(dispatcher.stats.cache_path), name), shortcuts():
             try:
                 return compile_now(signature)
             except (AttributeError, ImportError):  # the cache names a class of an earlier version, which is gone

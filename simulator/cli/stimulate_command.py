@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -88,7 +89,7 @@ def calibrate_command(
     ],
     zero_point: Annotated[
         float | None,
-        option("--zero-point", "MAG", "Magnitude of a star that gives 1 DN a second; default: that of --scenario."),
+        option("--zero-point", "MAG", "Magnitude of a star that gives 1 DN per second; default: that of --scenario."),
     ] = None,
     gain_e_per_dn: Annotated[
         float | None, option("--gain", "G", "Electrons per DN of the camera; default: that of --scenario.")
@@ -202,9 +203,7 @@ def _print_limits(display: Stimulator, renderer: Renderer) -> None:
 
     first = np.floor(display.photometry.white_magnitude)
     limits = [
-        one
-        for one in display.limits(np.arange(first - 3.0, first + 14.0))
-        if one.position_arcsec == one.position_arcsec
+        one for one in display.limits(np.arange(first - 3.0, first + 14.0)) if not math.isnan(one.position_arcsec)
     ]
     print_table(
         open_console(),
@@ -225,8 +224,9 @@ def _print_limits(display: Stimulator, renderer: Renderer) -> None:
         f"display {camera.fov_text}, {pixel:.2f}″ a pixel, spots {2.3548 * display.spot_px * pixel:.1f}″ wide at half "
         f"maximum; the tracker's pixel is {renderer.camera.pixel_rad / ARCSEC_RAD:.2f}″"
     )
-    if errors := [display.uncertainty.get(f"attitude_{axis}_arcsec") for axis in "xyz"]:
-        x, y, z = (float("nan") if error is None else error for error in errors)
+    errors = [display.uncertainty.get(f"attitude_{axis}_arcsec", math.nan) for axis in "xyz"]
+    if not any(map(math.isnan, errors)):
+        x, y, z = errors
         print(f"attitude from the calibration alone: {x:.3f}″, {y:.3f}″ across the boresight, {z:.2f}″ about it (1 σ)")
 
 
@@ -249,8 +249,6 @@ def _pattern(path: Path) -> Pattern:
 
 def _response(scenario: Path | None, gain: float | None, zero_point: float | None) -> tuple[float, float]:
     """Gain and zero point: as given, or those of a scenario's camera."""
-    import math
-
     if scenario is None:
         if zero_point is None:
             raise InputError(

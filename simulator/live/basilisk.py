@@ -106,7 +106,7 @@ class CameraStarTracker(sysModel.SysModel):  # type: ignore[misc]
     latest : Measurement or None
         Last delivered frame, with status, reason and covariance.
     measurements : list of Measurement
-        All frames taken, without their images.
+        All frames taken, without their images, 5 kB each; may be cleared during a long flight.
     frame : TrackedFrame or None
         Last frame taken, with its image and truth.
 
@@ -159,7 +159,7 @@ class CameraStarTracker(sysModel.SysModel):  # type: ignore[misc]
         self.latest: Measurement | None = None
         self.frame: TrackedFrame | None = None
         self._pending: deque[_Delivery] = deque()
-        self._next_ns = CurrentSimNanos
+        self._next_ns, self._frames = CurrentSimNanos, 0
 
     def UpdateState(self, CurrentSimNanos: int) -> None:
         """Take a frame if it is time, and write the messages of those that are ready."""
@@ -178,11 +178,12 @@ class CameraStarTracker(sysModel.SysModel):  # type: ignore[misc]
     # ------------------------------------------------------------------ one frame
     def _measure(self, now_ns: int) -> Measurement:
         """Render and solve the frame with mid-exposure now."""
-        since_s, camera = now_ns * _NANO, self.camera
+        since_s, camera, index = now_ns * _NANO, self.camera, self._frames
+        self._frames += 1
         state = self._body_on_camera(since_s)
         rotation_rad = self.renderer.scenes.mounting_rotation_rad(state.t_s)
         jitter = None if self._jitter is None else self._jitter.shifted(since_s)
-        moment = Moment(len(self.measurements), since_s, on_mounting(state, rotation_rad), rotation_rad, jitter)
+        moment = Moment(index, since_s, on_mounting(state, rotation_rad), rotation_rad, jitter)
         self.frame, session = camera.take(moment), camera.session
         filtered = session.filter_attitude, session.rate_rad_s, session.covariance
         return Measurement(since_s, self.frame.row, self.frame.solution, *filtered)

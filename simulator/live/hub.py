@@ -7,16 +7,16 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from simulator.live.images import Encoded
-from simulator.live.protocol import (
+from simulator.live.answers import (
     FrameHeader,
     ServerMessage,
     SolutionMessage,
     StateMessage,
     StimulusMessage,
-    Subscribe,
     TruthMessage,
 )
+from simulator.live.images import Encoded
+from simulator.live.protocol import Subscribe
 
 __all__ = ["Hub", "Outgoing", "Published", "Subscriber"]
 

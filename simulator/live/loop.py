@@ -15,15 +15,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from simulator.live import protocol
+from simulator.live import answers, protocol
 from simulator.live.hub import Hub, Published
 from simulator.live.images import encode
-from simulator.live.messages import camera_info, frame_header, solution_message, truth_message
+from simulator.live.messages import frame_header, solution_message, truth_message, welcome
 from simulator.live.mission import LiveMission
 from simulator.live.motion import Given
 from simulator.live.protocol import ClientMessage, Refused
 from simulator.live.stimulus import Stimulus
-from startracker._version import __version__
 from startracker.errors import BoresightError
 
 __all__ = ["MissionLoop"]
@@ -208,25 +207,14 @@ class MissionLoop:
         since_s = time.perf_counter() - _RATE_WINDOW_S
         return sum(made_s > since_s for made_s in self._made_s) / _RATE_WINDOW_S
 
-    def welcome(self) -> protocol.Welcome:
+    def welcome(self) -> answers.Welcome:
         """Answer to ``hello``."""
-        mission = self.mission
-        return protocol.Welcome(
-            protocol=protocol.PROTOCOL,
-            version=__version__,
-            scenario=mission.scenario.name,
-            camera=camera_info(mission.renderer),
-            start=mission.isot(0.0),
-            step_s=mission.step_s,
-            parameters=mission.parameters(),
-            commands=list(protocol.COMMANDS),
-            channels=[*_CHANNELS, *(["stimulus"] if self.stimulus is not None else [])],
-        )
+        return welcome(self.mission, [*_CHANNELS, *(["stimulus"] if self.stimulus is not None else [])])
 
-    def state(self) -> protocol.StateMessage:
+    def state(self) -> answers.StateMessage:
         """Present state."""
         mission = self.mission
-        return protocol.StateMessage(
+        return answers.StateMessage(
             running=not self.paused and not self.is_waiting,
             paused=self.paused,
             speed=self.speed,

@@ -8,30 +8,48 @@ from typing import Any
 import numpy as np
 
 from simulator.constants import EARTH_RADIUS_KM
-from simulator.live.images import Encoded
-from simulator.live.mission import LiveFrame
-from simulator.live.protocol import (
+from simulator.live.answers import (
     CameraInfo,
     Exclusions,
     FrameHeader,
     MatchedStar,
     SolutionMessage,
     TruthMessage,
+    Welcome,
 )
+from simulator.live.images import Encoded
+from simulator.live.mission import LiveFrame, LiveMission
+from simulator.live.protocol import COMMANDS, PROTOCOL
 from simulator.renderer import Renderer
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
+from startracker._version import __version__
 from startracker.arrays import FloatArray
 from startracker.catalog.names import designation, proper_name
 from startracker.solution import Solution
 from startracker.tracking import TrackingSession
 
-__all__ = ["camera_info", "frame_header", "solution_message", "truth_message"]
+__all__ = ["frame_header", "solution_message", "truth_message", "welcome"]
 
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
-def camera_info(renderer: Renderer) -> CameraInfo:
+def welcome(mission: LiveMission, channels: list[str]) -> Welcome:
+    """Answer to ``hello``."""
+    return Welcome(
+        protocol=PROTOCOL,
+        version=__version__,
+        scenario=mission.scenario.name,
+        camera=_camera_info(mission.renderer),
+        start=mission.isot(0.0),
+        step_s=mission.step_s,
+        parameters=mission.parameters(),
+        commands=list(COMMANDS),
+        channels=channels,
+    )
+
+
+def _camera_info(renderer: Renderer) -> CameraInfo:
     """The calibrated camera of a mission."""
     camera, detector = renderer.camera, renderer.scenario.detector
     largest = 2.0**detector.adc_bits - 1.0 if detector.adc_bits is not None else 65535.0

@@ -10,9 +10,10 @@ from importlib.util import find_spec
 import numpy as np
 
 from simulator.environment.transients import Transients
+from simulator.live.answers import Parameter
 from simulator.live.motion import Given, ScenarioMotion, turned_on
 from simulator.live.parameters import RATE_PATHS, ParameterTable
-from simulator.live.protocol import Parameter, Refused
+from simulator.live.protocol import Refused
 from simulator.live.recording import Recording
 from simulator.mission.epochs import elapsed_s
 from simulator.randomness import stream

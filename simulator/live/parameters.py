@@ -8,7 +8,8 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 from simulator.detector.readout import gain_e_per_dn
-from simulator.live.protocol import Parameter, Refused
+from simulator.live.answers import Parameter
+from simulator.live.protocol import Refused
 from simulator.renderer import Renderer
 
 __all__ = ["RATE_PATHS", "ParameterTable"]

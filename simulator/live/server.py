@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulator.live.answers import Error, dump
 from simulator.live.loop import MissionLoop
 from simulator.live.mission import LiveMission
-from simulator.live.protocol import LARGEST_MESSAGE_BYTES, Error, dump
+from simulator.live.protocol import LARGEST_MESSAGE_BYTES
 from simulator.live.security import Access
 from simulator.live.session import Session, SessionEnded
 from simulator.live.stimulator import Stimulator

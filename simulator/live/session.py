@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 
+from simulator.live.answers import Error, Reply
 from simulator.live.hub import Subscriber
 from simulator.live.loop import MissionLoop
-from simulator.live.protocol import Error, GivenAttitude, Hello, Refused, Reply, Shown, Subscribe, parse
+from simulator.live.protocol import GivenAttitude, Hello, Refused, Shown, Subscribe, parse
 from simulator.live.security import Access, TokenBucket
 
 __all__ = ["MOST_CLIENTS", "Session", "SessionEnded"]

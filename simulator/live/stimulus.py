@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from simulator.live.answers import Picture, StimulusMessage
 from simulator.live.mission import LiveFrame
 from simulator.live.motion import turned_on
-from simulator.live.protocol import Picture, StimulusMessage
 from simulator.live.stimulator import DisplayPicture, Stimulator, point_sources
 from simulator.mission.motion import MotionState
 

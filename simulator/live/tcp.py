@@ -6,9 +6,10 @@ import asyncio
 import base64
 import contextlib
 
+from simulator.live.answers import Error, FrameHeader, StimulusMessage, dump
 from simulator.live.hub import Outgoing
 from simulator.live.loop import MissionLoop
-from simulator.live.protocol import LARGEST_MESSAGE_BYTES, Error, FrameHeader, StimulusMessage, dump
+from simulator.live.protocol import LARGEST_MESSAGE_BYTES
 from simulator.live.security import Access
 from simulator.live.session import Session, SessionEnded
 

@@ -143,6 +143,9 @@ def test_late_pictures_are_counted(page, files):
     result = scheduled(page, files, messages, list(range(0, 260, 10)))
     assert result["late"] == 3  # 40, 30 and 20 ms: more than a refresh and a half
     assert len(result["shown"]) + result["skipped"] + 3 == 20
+    result = scheduled(page, files, [message(0, 0.0), message(1, 40.0), message(2, 180.0)], list(range(0, 260, 10)))
+    assert result["late"] == 4  # due at 100 to 130: the first three are not shown, and the last at 180
+    assert result["shown"][-1] == [180, pytest.approx(0.11)]
     ticks = [*range(0, 60, 10), *range(110, 260, 10)]  # the page is held up for 60 ms, the messages are not
     result = scheduled(page, files, [message(n, 40.0 * n) for n in range(5)], ticks)
     assert result["late"] == 4  # those due at 60, 70, 80 and 90 are shown at 110, or not at all; that at 100 is in time

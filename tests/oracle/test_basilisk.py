@@ -211,6 +211,16 @@ def test_same_seed_same_messages(flown):
     assert list(flown_again.ours.sensorOutMsg.read().qInrtl2Case) == list(flown.ours.sensorOutMsg.read().qInrtl2Case)
 
 
+def test_measurements_may_be_cleared(flown):
+    """The noise of a frame is that of its number, not of the length of the list."""
+    flight = Flight().run(0.5)
+    flight.ours.measurements.clear()
+    flight.simulation.ConfigureStopTime(macros.sec2nano(1.5))
+    flight.simulation.ExecuteSimulation()
+    assert len(flight.ours.measurements) == 2
+    np.testing.assert_array_equal(flight.ours.frame.frame.image, flown.ours.frame.frame.image)
+
+
 def test_gravity_free_bodies_use_the_orbit_of_the_scenario():
     flight = Flight(r_km=np.zeros(3), centre=None).run(0.0)
     np.testing.assert_allclose(

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from simulator.live import protocol
-from simulator.live.protocol import CLIENT_MESSAGES, COMMANDS, SERVER_MESSAGES, Refused, dump, parse
+from simulator.live import answers
+from simulator.live.answers import SERVER_MESSAGES, dump
+from simulator.live.protocol import CLIENT_MESSAGES, COMMANDS, Refused, parse
 
 PAGE = Path(__file__).parents[2] / "docs/reference/live-protocol.md"
 
@@ -74,7 +75,7 @@ def test_messages_are_read_as_they_are_written(message):
 
 def test_numbers_keep_their_bits_and_nan_is_null():
     value = math.nextafter(0.1, 1.0)
-    solution = protocol.SolutionMessage(
+    solution = answers.SolutionMessage(
         index=0, t_s=value, time="", status="", reason="", mode="", quaternion=None, covariance_rad2=None, ra_deg=None,
         dec_deg=None, roll_deg=None, rate_deg_s=None, detections=[(1.0, value, math.nan)], stars=[],
         times_ms={"render": math.nan}, latency_ms=0.0,
@@ -88,8 +89,8 @@ def test_numbers_keep_their_bits_and_nan_is_null():
 
 def messages():
     yield from ((name, kind) for name, kind in {**CLIENT_MESSAGES, **COMMANDS, **SERVER_MESSAGES}.items())
-    yield from ((kind.__name__, kind) for kind in (protocol.Parameter, protocol.CameraInfo, protocol.MatchedStar))
-    yield "Exclusions", protocol.Exclusions
+    yield from ((kind.__name__, kind) for kind in (answers.Parameter, answers.CameraInfo, answers.MatchedStar))
+    yield "Exclusions", answers.Exclusions
 
 
 @pytest.mark.parametrize(("name", "kind"), list(messages()))

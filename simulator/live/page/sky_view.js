@@ -226,8 +226,9 @@ export class SkyView {
     const { truth } = this.store, boresight = turnedBack(matrixOf(truth.quaternion), [0, 0, 1]);
     const away = (v) => (v ? `${fixed(Math.acos(Math.max(-1, Math.min(1, dot(boresight, v)))) / DEG, 1)}°` : "–");
     const [ra, dec] = [((Math.atan2(boresight[1], boresight[0]) / DEG) + 360) % 360, Math.asin(boresight[2]) / DEG];
+    const inTheWay = truth.excluded.length ? ` · in the way: ${truth.excluded.join(", ")}` : "";
     const limb = truth.earth ? Math.acos(Math.max(-1, Math.min(1, dot(boresight, truth.earth)))) / DEG - truth.earth_radius_deg : NaN;
-    const text = `True boresight RA ${hours(ra, 0)}, Dec ${degrees(dec)} · Sun ${away(truth.sun)} · Moon ${away(truth.moon)} · Earth's limb ${fixed(limb, 1)}°`;
+    const text = `True boresight RA ${hours(ra, 0)}, Dec ${degrees(dec)} · Sun ${away(truth.sun)} · Moon ${away(truth.moon)} · Earth's limb ${fixed(limb, 1)}°${inTheWay}`;
     const output = document.getElementById("sky-text");
     if (output.textContent !== text) output.textContent = text;
   }

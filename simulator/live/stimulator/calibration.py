@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.live.stimulator.geometry import DisplayGeometry
 from simulator.live.stimulator.geometry_fit import GeometryFit, aligned, fit_geometry
@@ -21,15 +20,12 @@ from simulator.live.stimulator.photometry import Curve, Photometry
 from simulator.live.stimulator.photometry_fit import Exposures, PhotometryFit, fit_photometry
 from simulator.live.stimulator.picture import Stimulator
 from startracker._version import __version__
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.calibration.camera_file import rounded
 from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
-
-__all__ = ["DisplayCalibration", "align_display", "calibrate_display", "read_stimulator", "stimulator_yaml"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

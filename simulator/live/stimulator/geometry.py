@@ -12,14 +12,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.errors import InputError
-
-__all__ = ["DisplayGeometry", "nominal_geometry"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,21 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.live.stimulator.geometry import DisplayGeometry, with_parity
 from simulator.live.stimulator.patterns import Pattern
 from simulator.live.stimulator.photographs import Dots, Photograph
+from startracker.arrays import FloatArray
 from startracker.attitude import rotation_vector_to_matrix
 from startracker.constants import ARCSEC_RAD
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.lens import prior_of
 from startracker.lens_fit import noise_floor
-
-__all__ = ["PARAMETERS", "GeometryFit", "aligned", "fit_geometry"]
-
-FloatArray = NDArray[np.float64]
 
 PARAMETERS = ("ln_f", "cx", "cy", "k1", "k2", "tilt_x_deg", "tilt_y_deg")
 _CENTRE_SHARE, _TILT_DEG, _FOCAL_SHARE = 0.05, 3.0, 0.1
@@ -114,8 +110,8 @@ def fit_geometry(
     from scipy.optimize import least_squares
 
     nominal = with_parity(nominal, dots[0].parity)
-    places = [pattern.position(one.lattice) for one in dots]
-    start = [rotation_onto(nominal, place, p, one) for place, p, one in zip(places, photographs, dots, strict=True)]
+    positions = [pattern.position(one.lattice) for one in dots]
+    start = [rotation_onto(nominal, at, p, one) for at, p, one in zip(positions, photographs, dots, strict=True)]
     mean, prior = np.zeros(len(PARAMETERS)), _priors(nominal)
     scale = np.concatenate([np.where(np.isfinite(prior), prior, _FOCAL_SHARE), np.full(3 * len(dots), 1e-3)])
     sigmas = [np.sqrt(one.variance_px2) for one in dots]
@@ -127,8 +123,8 @@ def fit_geometry(
 
     def misses(geometry: DisplayGeometry, rotations: list[FloatArray]) -> list[FloatArray]:
         return [
-            one.xy - p.camera.project(geometry.to_directions(place) @ r.T)
-            for one, p, place, r in zip(dots, photographs, places, rotations, strict=True)
+            one.xy - p.camera.project(geometry.to_directions(at) @ r.T)
+            for one, p, at, r in zip(dots, photographs, positions, rotations, strict=True)
         ]
 
     def residual(unknowns: FloatArray, floor: float) -> FloatArray:
@@ -168,8 +164,8 @@ def aligned(
     """
     from scipy.optimize import least_squares
 
-    place = pattern.position(dots.lattice)
-    rays, first = geometry.to_directions(place), rotation_onto(geometry, place, photograph, dots)
+    at = pattern.position(dots.lattice)
+    rays, first = geometry.to_directions(at), rotation_onto(geometry, at, photograph, dots)
     sigma = np.sqrt(dots.variance_px2)
 
     def miss(turn: FloatArray) -> FloatArray:
@@ -191,12 +187,12 @@ def aligned(
     return np.asarray(rotation_vector_to_matrix(1e-3 * fit.x) @ first), sigmas, rms
 
 
-def rotation_onto(geometry: DisplayGeometry, place: FloatArray, photograph: Photograph, dots: Dots) -> FloatArray:
+def rotation_onto(geometry: DisplayGeometry, at: FloatArray, photograph: Photograph, dots: Dots) -> FloatArray:
     """Rotation (3, 3), collimator to camera, that fits directions best (Kabsch)."""
     from scipy.spatial.transform import Rotation
 
     seen = photograph.camera.unproject(dots.xy)
-    return np.asarray(Rotation.align_vectors(seen, geometry.to_directions(place))[0].as_matrix())
+    return np.asarray(Rotation.align_vectors(seen, geometry.to_directions(at))[0].as_matrix())
 
 
 def _priors(nominal: DisplayGeometry) -> FloatArray:

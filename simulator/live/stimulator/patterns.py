@@ -16,12 +16,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
-
-__all__ = ["COLOURS", "Pattern"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 COLOURS = ("red", "green", "blue")
 TOP_LEVEL = 255

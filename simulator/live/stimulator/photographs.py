@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from simulator.live.stimulator.patterns import MARKERS, Pattern
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
@@ -17,11 +18,6 @@ from startracker.errors import InputError
 from startracker.front_end import Clock, find_stars
 from startracker.given_image import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings
-
-__all__ = ["Dots", "Photograph", "SquareFluxes", "find_dots", "square_fluxes"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LEAST_SHARE = 0.6
 """Share of the dots that must be found, of those that lie in the camera's field."""

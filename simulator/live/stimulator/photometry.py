@@ -189,8 +189,7 @@ class Photometry:
         if dithering == "temporal":
             cell = pixels @ np.array([1, self.size[0]])
             threshold = (picture * _STEP_OF_PICTURE + cell * _STEP_OF_PIXEL) % 1.0
-        rgb, flux = np.zeros((len(pixels), 3), np.uint8), np.zeros(len(pixels))
-        quantise(order, star, wanted, room, self._tables, driven, threshold, dithering == "spatial", rgb, flux)
+        rgb, flux = quantise(order, star, wanted, room, self._tables, driven, threshold, dithering == "spatial")
         return Levels(rgb, flux, room.sum(axis=1))
 
     @cached_property
@@ -216,13 +215,12 @@ def quantise(
     driven: IntArray,
     threshold: FloatArray,
     diffuse: bool,
-    rgb: NDArray[np.uint8],
-    flux: FloatArray,
-) -> None:
-    """Kernel of `Photometry.quantised`: levels into `rgb` (N, 3), what they give into `flux` (N,).
+) -> tuple[NDArray[np.uint8], FloatArray]:
+    """Kernel of `Photometry.quantised`: levels (N, 3), and the flux (N,) that they give.
 
     Pixels are taken in `order`, and colours in that of `driven`; `room` (N, 3) is the flux at the highest level.
     """
+    rgb, flux = np.zeros((len(wanted), 3), np.uint8), np.zeros(len(wanted))
     carry, last = 0.0, -1
     for n in order:
         if star[n] != last:
@@ -238,3 +236,4 @@ def quantise(
             carry = carry + share * room[n, k] - given if share < 1.0 else 0.0
             rgb[n, k] = level
             flux[n] += given
+    return rgb, flux

@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 from simulator.live.stimulator.patterns import TOP_LEVEL, Pattern
 from simulator.live.stimulator.photographs import SquareFluxes
 from simulator.live.stimulator.photometry import Curve, Photometry, uniformity_terms
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["Exposures", "PhotometryFit", "fit_photometry"]
-
-FloatArray = NDArray[np.float64]
 
 _SIGNIFICANT = 1e-3
 _LEAST_SNR = 20.0
@@ -31,7 +28,7 @@ _MAG = 2.5 / math.log(10.0)
 
 class Exposures(NamedTuple):
     """How the photographs of the squares were taken: exposure time, gain in electrons per DN, and the magnitude of a
-    star that gives 1 DN a second."""
+    star that gives 1 DN per second."""
 
     exposure_s: float
     gain_e_per_dn: float = 1.0

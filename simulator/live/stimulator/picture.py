@@ -15,14 +15,10 @@ from simulator.light import body_rates_e_s, star_rates_e_s
 from simulator.live.stimulator.geometry import DisplayGeometry
 from simulator.live.stimulator.photometry import DITHERING, Photometry
 from simulator.scene import Scene
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
-
-__all__ = ["DisplayPicture", "Limit", "Stimulator", "point_sources"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 FAINT_MAG = 0.1
 """A star whose displayed brightness is further from the one wanted is counted as too faint, or as clipped."""
