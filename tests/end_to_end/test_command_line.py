@@ -55,10 +55,10 @@ def rendered(tmp_path_factory):
     return folder
 
 
-def test_rendered_frame_is_solved_where_its_truth_says(rendered, command):
+def test_rendered_frame_is_solved_where_its_truth_says(rendered):
     from astropy.io import fits
 
-    done = command("solve", "frame.fits", "--json", "--wcs", "wcs.fits", "--annotate", "solved.png", cwd=rendered)
+    done = boresight("solve", "frame.fits", "--json", "--wcs", "wcs.fits", "--annotate", "solved.png", cwd=rendered)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["status"] == "solved"
