@@ -17,13 +17,9 @@ from simulator.sky.photometry import Photometer
 from simulator.sky.satellites import Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.spectra import SOLAR_B_V
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.kernels import kernel
-
-__all__ = ["Light", "body_light", "hidden_stars", "near_image", "path_middles", "satellite_light", "star_light"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}
 

@@ -16,12 +16,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.display import changed_fields
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,9 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
 
 PROJECTIONS = ("pinhole", "fisheye", "equidistant", "equisolid")
 """Values of a camera's `projection`; the last two take no coefficients."""

@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.survey import plain
-
-__all__ = ["SAME_STAR_PX", "clean_centroids", "stated_variance"]
-
-FloatArray = NDArray[np.float64]
 
 SAME_STAR_PX = 0.75
 """Two centroids closer than this are taken as the same star, detected twice."""

@@ -8,23 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.distortion import project_pinhole, unproject_pinhole
 from startracker.fisheye import fisheye_project, fisheye_unproject
 from startracker.kernels import kernel
 
-__all__ = [
-    "HEIGHT",
-    "LENS",
-    "LIMIT_RAD",
-    "WIDTH",
-    "ImageMap",
-    "image_map",
-    "pixel_slopes",
-    "to_directions",
-    "to_pixels",
-]
-
-FloatArray = NDArray[np.float64]
 ImageMap = NDArray[np.float64]
 
 FX, FY, CX, CY, WIDTH, HEIGHT, PINHOLE, EQUISOLID, LIMIT_RAD, LENS = range(10)

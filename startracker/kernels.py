@@ -26,8 +26,6 @@ from numba.core import event
 from startracker.compilation import expected_kernels, progress
 from startracker.compiler import shortcuts
 
-__all__ = ["clock", "is_compiled", "kernel", "kernel_part", "kernel_with", "processor_clock"]
-
 _OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _OURS = ("startracker.", "simulator.")
 

@@ -8,25 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel, kernel_with
-
-__all__ = [
-    "chord",
-    "cross",
-    "factorise",
-    "inverse",
-    "log_determinant",
-    "rotate_back",
-    "solve",
-    "substitute",
-    "transform",
-    "triple_product",
-    "turned",
-]
-
-FloatArray = NDArray[np.float64]
 
 _LEAST_PIVOT = 1e-14
 """Relative limit of a diagonal element after elimination, below which it is rounding error."""

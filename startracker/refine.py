@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
@@ -39,10 +39,6 @@ from startracker.kernels import kernel
 from startracker.linalg import cross, solve, turned
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _FEWEST_TO_REJECT = 4
 _ROUNDS = 4

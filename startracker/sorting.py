@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from startracker.kernels import kernel
 
-__all__ = ["median", "order_of", "sort"]
-
 
 @kernel
 def sort(values: NDArray[Any]) -> None:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from simulator.renderer import Renderer
     from startracker.camera import Camera
 
-__all__ = ["stimulate_app"]
-
 _SETTINGS = "pattern.yaml"
 _PHOTOGRAPH = re.compile(r"(dots(-\w+)?|uniform|ramp-(red|green|blue)|black|off)\.(png|tiff?|fits?|fts)", re.IGNORECASE)
 CameraFile = Annotated[Path, option("--camera", "CAMERA.yaml", "Calibrated camera that took the photographs.")]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector.simd import outside
 from simulator.detector.steps import Collection
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
 
 _FINITE = np.finfo(np.float64).max
 

@@ -20,12 +20,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector.parameters import CosmicRays, DetectorParameters
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
 
 PAIR_ENERGY_EV = 3.65
 """Mean energy per electron-hole pair in silicon (Janesick 2001)."""

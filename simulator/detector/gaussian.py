@@ -15,15 +15,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside
+from startracker.arrays import FloatArray, SingleArray
 from startracker.kernels import kernel, kernel_with
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 TAIL = np.float32(3.66)
 """Start of the tails."""

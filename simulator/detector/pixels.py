@@ -32,12 +32,9 @@ from simulator.detector.steps import (
     begin,
 )
 from simulator.randomness import Streams
+from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 _VALUES = 3
 

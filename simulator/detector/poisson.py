@@ -21,15 +21,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_words, upper_quantile
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside
+from startracker.arrays import FloatArray, SingleArray
 from startracker.kernels import kernel, kernel_with
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""

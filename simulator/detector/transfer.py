@@ -12,11 +12,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
 
 _TAIL = 1e-17
 """Trails are truncated below this fraction of a packet."""

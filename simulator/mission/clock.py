@@ -7,14 +7,11 @@ from datetime import UTC, datetime
 from typing import Any, overload
 
 import erfa
-import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.errors import InputError
 from startracker.interop import is_time, plain
-
-FloatArray = NDArray[np.float64]
 
 SECONDS_PER_DAY = 86_400.0
 FIRST_YEAR_OF_UTC = 1960

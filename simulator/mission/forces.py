@@ -8,18 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 
 from simulator.constants import EARTH_RADIUS_KM, EARTH_ZONALS
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import ForceModel
 from simulator.mission.trajectory import GM_KM3_S2, centre_state
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-__all__ = ["Forces", "acceleration"]
-
-FloatArray = NDArray[np.float64]
 
 BODIES = {
     "Earth": ("Sun", "Moon"),

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.mission.clock import Clock
 from simulator.mission.trajectory import CENTRES, GM_KM3_S2, osculating_period_s
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
-
-__all__ = ["GivenTrajectory"]
-
-FloatArray = NDArray[np.float64]
 
 _REACH_S = 10.0
 """Time about the newest state in which it is extrapolated: exposures and their satellites."""

@@ -16,13 +16,10 @@ from scipy import fft
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import render_stars
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.kernels import kernel
-
-__all__ = ["LAWS", "LAW_OF_BODY", "NO_LIMB", "Limb", "LitDisk", "draw_body", "share_before_limb", "sun_angle_rad"]
-
-FloatArray = NDArray[np.float64]
 
 CONVOLVED_PX = 256.0
 """Larger disks are rendered without blur: their radius is a hundred times the width of a PSF."""

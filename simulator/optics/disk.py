@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
 
 
 def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, float], electrons: float) -> None:

@@ -9,13 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel, kernel_with
-
-__all__ = ["error_function", "shares_of_pixels"]
-
-FloatArray = NDArray[np.float64]
 
 _PER_UNIT, _END = 16, 6
 """Points per unit, and the argument from which the function is 1 to all digits."""

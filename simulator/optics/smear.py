@@ -6,15 +6,14 @@ import functools
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.pupil import legendre
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
 
 DEFAULT_FEATURE_PX = 0.5
 """Default width of a star image (σ of a Gaussian) for the sampling of paths."""

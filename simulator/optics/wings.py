@@ -6,12 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.optics.psf_table import TAPER_PX, fade
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel, kernel_with
-
-FloatArray = NDArray[np.float64]
 
 
 class Wings(NamedTuple):

@@ -16,29 +16,13 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
+from startracker.arrays import BoolArray, FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.kernels import kernel
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
-
-__all__ = [
-    "ATMOSPHERE_TOP_KM",
-    "SUN_S10_SR",
-    "angular_radius_rad",
-    "earth_in_field",
-    "earth_radiance_map",
-    "earth_s10",
-    "has_disk",
-    "limbs",
-    "occulted",
-    "stray_sources",
-    "unhidden",
-]
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 SUN_S10_SR = 10.0 ** (-0.4 * (sun_v(1.0) - 10.0)) * math.radians(1.0) ** 2
 """Brightness in S10 of the Sun's light at 1 au spread over one steradian: 1.51e11."""

@@ -13,11 +13,10 @@ from simulator.optics.curves import Curve
 from simulator.sky.albedo import body_photons
 from simulator.sky.colours import population_giant_share
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA, Spectrum
+from startracker.arrays import FloatArray
 from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.registry import lookup
-
-FloatArray = NDArray[np.float64]
 
 _Tables = tuple[FloatArray, FloatArray, FloatArray]
 

@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-__all__ = ["apparent_directions"]
-
-FloatArray = NDArray[np.float64]
 
 
 @kernel

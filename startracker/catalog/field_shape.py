@@ -6,14 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.camera import Camera
 from startracker.kernels import kernel
-
-__all__ = ["FieldShape", "field_shape", "in_shape"]
-
-FloatArray = NDArray[np.float64]
 
 _AZIMUTHS = 720
 _STEPS_PER_SIDE = 200

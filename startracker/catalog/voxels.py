@@ -12,14 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
 from startracker.kernels import kernel, kernel_with
 from startracker.sorting import sort
-
-__all__ = ["VoxelGrid", "star_within", "stars_around", "stars_in_cone", "stars_on_image", "voxel_grid"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _STARS_PER_CUBE = 2.0
 _MOST_CUBES_PER_AXIS = 96

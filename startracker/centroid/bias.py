@@ -5,21 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-__all__ = [
-    "centres_of_means",
-    "guess_centre",
-    "invert_from",
-    "invert_moment",
-    "invert_moments",
-    "moment_bias",
-    "window_moments",
-]
-
-FloatArray = NDArray[np.float64]
 
 _SQRT_HALF = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
 from startracker.centroid.result import Centroids
 from startracker.centroid.window import Peaks, Pixels, frame_widths, measure_stars
@@ -19,21 +19,6 @@ from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 from startracker.sorting import median
-
-__all__ = [
-    "MODEL_STARS",
-    "SYSTEMATIC_PX",
-    "Prepared",
-    "brightest_alone",
-    "collect",
-    "measure_moments",
-    "measure_psf_sigma",
-    "prepare",
-]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MODEL_STARS = 9
 """Brightest clean stars from which the star image is measured."""

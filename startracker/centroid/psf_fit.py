@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import PsfModel, load_psf
@@ -21,11 +21,6 @@ from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
-
-__all__ = ["MISFIT_SIGMA", "SYSTEMATIC_PX", "least_squares", "maximum_likelihood", "weighted_moment"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LARGEST_HALF_PX = 8
 _WIDTHS = 2.5

@@ -6,18 +6,14 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.psf_model import Samples
 from startracker.centroid.psf_sums import fill_window, interpolate, interpolated, normal_equations, weigh_pixels
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 
-__all__ = ["FITTED", "MOST_TOGETHER", "Starts", "fit_stars", "group_stars", "weighted_moments"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Box: TypeAlias = tuple[int, int, int, int]
 Two: TypeAlias = tuple[float, float]
 Three: TypeAlias = tuple[float, float, float]

@@ -9,15 +9,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.kernels import kernel
-
-__all__ = ["PsfModel", "Samples", "gaussian_axes", "gaussian_psf", "load_psf"]
-
-FloatArray = NDArray[np.float64]
 
 _LEAST_OVERSAMPLING = 8
 _MOST_OVERSAMPLING = 48

@@ -6,8 +6,8 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.frame import MODEL_STARS, Prepared, brightest_alone
 from startracker.centroid.psf_kernel import Starts, fit_stars
@@ -19,10 +19,6 @@ from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 from startracker.sorting import median
 
-__all__ = ["Shape", "fit_gaussians", "frame_psf"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Shape: TypeAlias = tuple[float, float, float]
 
 _LOOKED_AT, _FEWEST_ALONE = 18, 3

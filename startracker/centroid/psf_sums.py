@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.centroid.psf_model import Samples
 from startracker.kernels import kernel, kernel_with
-
-__all__ = ["fill_window", "interpolate", "interpolated", "normal_equations", "weigh_pixels"]
-
-FloatArray = NDArray[np.float64]
 
 
 @kernel

@@ -24,18 +24,13 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 
-__all__ = ["REFERENCE_CONTRAST", "correct_skewness", "expansions_of", "shifts"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Shape: TypeAlias = tuple[float, float, float]
 """Variances along x and y and covariance of the star image, px²."""
 

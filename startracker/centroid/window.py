@@ -8,18 +8,14 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.bias import centres_of_means, guess_centre, invert_from, invert_moments, window_moments
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
-__all__ = ["MEASURED", "Peaks", "Pixels", "frame_widths", "measure_stars", "read_pixels", "read_window"]
-
 FloatImage = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 Moments: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 MEASURED = 6

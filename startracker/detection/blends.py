@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.thresholds import BLEND_LEAST_PX2, BLEND_PIXELS, RING_SHARE, VALLEY_SHARE, VALLEY_SIGMA
 from startracker.detection.values import Image
 from startracker.kernels import kernel, kernel_part
-
-__all__ = ["part_blends"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _FAR_PX2 = 1 << 62
 

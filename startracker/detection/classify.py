@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import IntArray
 from startracker.detection.cosmic_rays import Sharpness, is_sharp, sharpest_star
 from startracker.detection.forms import form_of, is_halo
 from startracker.detection.shapes import PEAK_SHARE, measure_shape
@@ -15,9 +16,6 @@ from startracker.detection.surroundings import Rings, is_clutter, stamp_of
 from startracker.detection.thresholds import LOOKED_AT, LOOKED_AT_MORE, ONE_PIXEL_SHARE
 from startracker.kernels import kernel, kernel_part
 
-__all__ = ["FAINTER", "REASONS", "STAR", "Criteria", "classify_sources"]
-
-IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 STAR, _SMALL, _LARGE, _DARK, _HALO, _ONE_PIXEL, _COSMIC_RAY, _LONG, _CLUTTER, _UNSEEN = range(10)

@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from startracker.arrays import IntArray
 from startracker.detection.background import Background, as_image
 from startracker.detection.forms import brightest_first
 from startracker.detection.objects import find_runs, join_runs
@@ -21,8 +22,6 @@ from startracker.errors import InputError
 from startracker.kernels import kernel, kernel_part
 from startracker.settings import DetectionSettings
 
-__all__ = ["adaptive_radius", "cluster_pixels", "find_clusters", "merge_clusters"]
-
 _LEAST_RADIUS_PX = 2.0
 _LARGEST_RADIUS_PX = 64.0
 _LARGE_QUANTILE = 0.9
@@ -30,9 +29,7 @@ _GROWTH_PX = 1.0
 """Growth of τ with the square root of the pixels of a cluster: once half of a round star is met, its farthest pixel is
 at most 0.9 of that from the centre of the part met."""
 
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 
 def find_clusters(

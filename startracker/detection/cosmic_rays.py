@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.shapes import (
     MINOR,
     MINOR_ERROR,
@@ -36,11 +37,8 @@ from startracker.detection.thresholds import (
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import sort
 
-__all__ = ["Sharpness", "common_width", "is_sharp", "peak_share", "sharpest_star"]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+
 Flags = NDArray[np.bool_]
 
 _PIXEL_VARIANCE = 1.0 / 12.0

@@ -13,8 +13,6 @@ from startracker.detection.spots import Spots
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
 
-__all__ = ["fill_gaps", "has_crowd", "mask_extremes", "mask_impulses"]
-
 FloatImage = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.detection.motion import elongations
 from startracker.detection.sources import Sources
 from startracker.detection.thresholds import (
@@ -20,9 +21,6 @@ from startracker.detection.thresholds import (
 )
 from startracker.kernels import kernel, kernel_part
 
-__all__ = ["Forms", "are_long", "brightest_first", "form_of", "is_halo", "measure_forms"]
-
-FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 _PIXEL_VARIANCE = 1.0 / 12.0

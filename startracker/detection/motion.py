@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.detection.thresholds import (
     AGREEING_SHARE,
     CLEAR_MOTION_PX,
@@ -16,12 +17,8 @@ from startracker.detection.thresholds import (
 )
 from startracker.kernels import kernel
 
-__all__ = ["common_motion", "elongations", "frame_motion"]
-
 _TRIED = 14
 """Brightest streaks of which every pair proposes a motion."""
-
-FloatArray = NDArray[np.float64]
 
 
 def elongations(variance_x: FloatArray, variance_y: FloatArray, covariance: FloatArray) -> FloatArray:

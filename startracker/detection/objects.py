@@ -5,19 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.values import Image
 from startracker.kernels import kernel, kernel_part
 
-__all__ = [
-    "cut_runs",
-    "find_runs",
-    "join_runs",
-    "measure_objects",
-]
-
-IntArray = NDArray[np.int64]
 FloatImage = NDArray[np.float32]
 
 

@@ -11,8 +11,6 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-__all__ = ["Plane", "as_plane", "fill_plane", "sample_plane"]
-
 FloatImage = NDArray[np.float32]
 
 _ROWS_AT_ONCE = 64

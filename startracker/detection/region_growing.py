@@ -15,8 +15,6 @@ from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 
-__all__ = ["grow_objects", "grow_regions"]
-
 FloatImage = NDArray[np.float32]
 
 

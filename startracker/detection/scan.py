@@ -14,11 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
-
-__all__ = ["UNFILTERED", "kernel_half", "runs_above", "search_rows"]
 
 _LINE = 16
 """Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
@@ -30,7 +29,7 @@ _WORKING_ROWS = 3
 """Rows beside the ring: the filtered one, the limits, the one that comes in."""
 
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+
 Places = NDArray[np.uint64]
 
 

@@ -6,33 +6,17 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_part
-
-__all__ = [
-    "MAJOR",
-    "MINOR",
-    "MINOR_ERROR",
-    "PEAK_SHARE",
-    "SHAPE_COLUMNS",
-    "SHAPE_SNR",
-    "Weight",
-    "measure_shape",
-    "measure_shapes",
-    "shape_weight",
-]
 
 SHAPE_COLUMNS = 5
 """Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
 brightest pixel, signal-to-noise ratio."""
 MINOR, MAJOR, MINOR_ERROR, PEAK_SHARE, SHAPE_SNR = range(SHAPE_COLUMNS)
 _RECENTRINGS = 3
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class Weight(NamedTuple):

@@ -12,8 +12,6 @@ from startracker.detection.thresholds import FLAT_TOP_PIXELS
 from startracker.detection.values import Image
 from startracker.kernels import kernel
 
-__all__ = ["SOURCE", "Searched", "Sources", "add_pixel", "is_saturated"]
-
 SOURCE = np.dtype(
     [
         ("pixels", np.int64),  # number of pixels

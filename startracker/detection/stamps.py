@@ -9,8 +9,6 @@ from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
 from startracker.kernels import kernel, kernel_part
 
-__all__ = ["filter_stamp", "filtered_pixel", "stamp_pitch"]
-
 FloatImage = NDArray[np.float32]
 
 

@@ -7,15 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.detection.background import Background, noise_floor
 from startracker.detection.plane import Plane
 from startracker.detection.tiles import interpolate_tiles, select_kth, smooth_tiles, tile_statistics
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
 
-__all__ = ["follow_structure", "has_structure"]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
 _LAG_PX = 5

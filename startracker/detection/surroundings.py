@@ -8,12 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import IntArray
 from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.tiles import select_kth
 from startracker.kernels import kernel_part
-
-__all__ = ["Rings", "Stamp", "is_clutter", "rings_of", "stamp_of"]
 
 _RING_PX = 8
 _GAP_PX = 2
@@ -22,7 +21,7 @@ _OUTERMOST_PX = _LARGEST_RADIUS_PX + _GAP_PX + _RING_PX
 _INFINITE_BITS = np.float32(np.inf).view(np.int32)
 
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
+
 Masks = NDArray[np.int32]
 
 

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_with
 
-__all__ = ["find_kth", "interpolate_tiles", "select_kth", "smooth_tiles", "tile_statistics", "whole_step"]
-
-FloatArray = NDArray[np.float64]
 Tile = tuple[int, int, int, int]
 """First row, last row + 1, first column, last column + 1."""
 _SAMPLES = 400

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.background import Background
 from startracker.detection.forms import are_long, measure_forms
 from startracker.detection.motion import agrees, frame_motion, motion_at
@@ -33,10 +34,6 @@ from startracker.detection.values import Image
 from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 
-__all__ = ["decide", "line_up", "looks_trailed", "select_trailed", "trails_win"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 _LOOKED_AT = 30

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
 
-__all__ = ["Image", "as_image", "as_pixels", "is_value", "is_whole"]
-
 Image = NDArray[np.float32] | NDArray[np.uint16]
 """What kernels read: float32 of which some may not be finite, or uint16."""
 

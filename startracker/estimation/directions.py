@@ -10,15 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.kernels import kernel
 from startracker.linalg import cross, inverse, transform, turned
-
-__all__ = ["fit_pairs", "fit_turn", "focal_slopes", "normal_equations", "pair_frame", "pair_rotation"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _STEPS, _SETTLED_RAD = 12, 1e-9
 _LARGEST_TURN_RAD = 0.1

@@ -44,25 +44,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 
+from startracker.arrays import FloatArray
 from startracker.estimation.image_errors import AS_ASSUMED
 from startracker.kernels import kernel, kernel_part
 from startracker.linalg import inverse
 from startracker.sorting import median
-
-__all__ = [
-    "TRUSTED",
-    "UNKNOWN_FLOOR_PX",
-    "Linearised",
-    "Pose",
-    "displacements",
-    "few_stars_factor",
-    "fit_pose",
-]
-
-FloatArray = NDArray[np.float64]
 
 TRUSTED = 20.0
 """Degrees of freedom of the stated errors: the prior uncertainty of their common factor is 1/√(2 · 20) = 16 %."""

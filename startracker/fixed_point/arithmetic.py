@@ -30,8 +30,6 @@ from startracker.fixed_point.tables import quadrant_table
 from startracker.fixed_point.vectors import DIRECTION
 from startracker.kernels import kernel
 
-__all__ = ["FULL_TURN", "SCALE", "FixedArithmetic", "FixedImage", "FixedSky", "inner_angles", "vector_separations"]
-
 SCALE = Format(12, 20)
 """Degrees per pixel: with 20 fraction bits eight of the ten separations of Table 4.17 are exact to the last bit."""
 FULL_TURN = 360 * ANGLE.one

@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike
 from startracker.fixed_point.formats import CENTROID, Format, Integers, integers
 from startracker.kernels import kernel
 
-__all__ = ["running_centroid"]
-
 _SIGNAL = Format(32, 0)
 
 

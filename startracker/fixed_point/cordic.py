@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike
 from startracker.fixed_point.formats import FixedPointOverflow, Format, Integers, integers
 from startracker.kernels import kernel
 
-__all__ = ["DEGREES", "FINE_BITS", "STEPS_DEG", "angles_deg", "fine_angles"]
-
 DEGREES = Format(10, 22)
 """Right ascension, declination and roll, degrees: 0.0009″ per unit."""
 FINE_BITS = 40

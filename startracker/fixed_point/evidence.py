@@ -19,8 +19,6 @@ from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import quotient
 from startracker.kernels import kernel
 
-__all__ = ["LOG_BITS", "NEVER", "PLANE_BITS", "Tables", "local_areas", "log2", "log_sum", "spans", "weigh"]
-
 PLANE_BITS = 12
 """Fraction bits of pixels in the tangent plane."""
 LOG_BITS = 12

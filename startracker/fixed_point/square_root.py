@@ -9,8 +9,6 @@ from startracker.fixed_point.formats import COSINE, SEPARATION, Integers, check_
 from startracker.fixed_point.tables import arccosine_table, cosine_table
 from startracker.kernels import kernel
 
-__all__ = ["CROSSOVER", "by_pythagoras", "by_tables", "root", "separation", "square_root"]
-
 CROSSOVER = 11929
 """11.65° in 6.10: below it Pythagoras' theorem is more accurate than the tables; see `separation`."""
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from startracker.fixed_point.formats import ANGLE, COSINE, SEPARATION, Format, Integers, integers
 from startracker.kernels import kernel
 
-__all__ = ["EnclosedTable", "arccosine_table", "cosine_table", "enclosed_table", "quadrant_table"]
-
 
 @lru_cache
 def cosine_table(angle: Format = SEPARATION, cosine: Format = COSINE) -> Integers:

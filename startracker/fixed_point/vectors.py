@@ -9,8 +9,6 @@ from startracker.fixed_point.formats import Format, Integers
 from startracker.fixed_point.square_root import root
 from startracker.kernels import kernel
 
-__all__ = ["DIRECTION", "cross", "dot", "normalize", "quotient"]
-
 DIRECTION = Format(2, 30)
 """Components of unit vectors; a unit is 0.0002″."""
 _ONE = 1 << 30

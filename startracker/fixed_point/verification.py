@@ -18,8 +18,6 @@ from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import cross, dot, normalize, quotient
 from startracker.kernels import kernel
 
-__all__ = ["FEW_FIT", "FIT", "MOST_EXTRA", "NOT_SPREAD", "plane", "verify"]
-
 FEW_FIT, NOT_SPREAD, FIT = 0, 1, 2
 """States of `verify`: fewer than three stars match; the matches are clustered or collinear; the evidence is valid."""
 MOST_EXTRA = 10

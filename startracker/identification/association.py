@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.voxels import VoxelGrid, stars_on_image
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.identification.verification import nearest_unique
@@ -15,12 +15,6 @@ from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import transform
 from startracker.sorting import median
-
-__all__ = ["MARGIN_PX", "REJECT_SIGMAS", "Field", "joined", "matched_again", "named"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 REJECT_SIGMAS = 3.7
 """A residual's length beyond this many of its standard errors an axis has probability 1e-3 (Rayleigh)."""

@@ -23,15 +23,12 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.kernels import kernel
 from startracker.linalg import log_determinant
 from startracker.sorting import median, order_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SCALES = np.array([0.4, 0.7, 1.25, 2.2, 4.0, 7.0, 12.5, 22.0])
 """Widths averaged over, in units of the stated errors."""

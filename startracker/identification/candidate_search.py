@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
 from startracker.identification.hypothesis import HypothesisPool, hypothesis_of
@@ -16,10 +16,6 @@ from startracker.identification.other_stars import Confirmation, next_confirmed
 from startracker.identification.search_state import Candidates, Limits, Stars
 from startracker.identification.verification import GATE_SIGMAS, Verified, is_known, verify_attitude
 from startracker.kernels import kernel
-
-__all__ = ["Effort", "Verifier", "next_verified"]
-
-FloatArray = NDArray[np.float64]
 
 _VERIFY_FROM = 7.0
 """Smallest multiple of the stated errors with which a verification begins."""

@@ -19,14 +19,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.kernels import kernel
-
-__all__ = ["WIDTHS", "clustering_price", "log_excess_density"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WIDTHS = 8
 """Each half of the one before, the first being the points' root mean square distance from their middle."""

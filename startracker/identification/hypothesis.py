@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.directions import focal_slopes
 from startracker.identification.acceptance import SURE_BEYOND, accepts, log_chance, log_limit, power_of_ten
@@ -26,9 +26,6 @@ from startracker.kernels import kernel
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 from startracker.trace import Steps
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SCALES: tuple[float, ...] = (1.0, 3.0, 10.0)
 """Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""

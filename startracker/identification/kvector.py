@@ -12,11 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.kernels import kernel
-
-__all__ = ["KVector", "find_range", "k_vector"]
-
-FloatArray = NDArray[np.float64]
 
 
 class KVector(NamedTuple):

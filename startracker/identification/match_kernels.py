@@ -12,12 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.kernels import kernel, kernel_with
 from startracker.linalg import triple_product
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 WordArray = NDArray[np.uint64]
 
 MAX_MEMBERS = 400

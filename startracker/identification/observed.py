@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.errors import InputError
@@ -17,9 +17,6 @@ from startracker.image_map import ImageMap, to_directions
 from startracker.interop import is_rotation, is_skycoord, plain
 from startracker.kernels import kernel
 from startracker.solution import Status
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WORST_PX = 5.0
 """A centroid with a larger error is not used."""

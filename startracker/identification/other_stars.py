@@ -12,15 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
 from startracker.identification.occupancy import Occupancy, is_occupied
 from startracker.identification.search_state import Candidates, Stars
 from startracker.kernels import kernel, kernel_with
-
-__all__ = ["Confirmation", "Others", "enough_matches", "least_matches", "next_confirmed", "other_stars", "room"]
-
-FloatArray = NDArray[np.float64]
 
 _MANY = 100.0
 _MOST_OTHERS = 48

@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
 from startracker.estimation.directions import normal_equations, pair_rotation
@@ -15,11 +15,6 @@ from startracker.identification.pattern_table import BINS, EMPTY, SIZE_STEPS, Pa
 from startracker.identification.verification import is_known, rotation_cosine
 from startracker.kernels import kernel
 from startracker.linalg import chord, rotate_back, solve, transform, triple_product, turned
-
-__all__ = ["PatternFinds", "Plan", "correspondence", "lookup_shape", "next_set", "pattern_attitude", "search_patterns"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SIGMAS = 2.3
 """Half width of the tolerance in standard errors of an edge: of many patterns some may be missed."""

@@ -23,17 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.catalog import cache
 from startracker.catalog.guide import GuideDatabase, field_of
 from startracker.catalog.stars import StarCatalog
 from startracker.kernels import kernel
 from startracker.linalg import chord
-
-__all__ = ["PatternTable", "build_table", "insert", "pattern_table", "shape_key", "sorted_edges"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 FORMAT = 1
 BINS = 32

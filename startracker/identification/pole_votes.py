@@ -18,15 +18,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.identification.search_plan import MOST_VOTES
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, grown, window
 from startracker.kernels import kernel, kernel_with
 from startracker.sorting import median
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Int32Array = NDArray[np.int32]
 BearingArray = NDArray[np.uint16]
 
 _TURN = 65536

@@ -18,6 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
@@ -30,11 +31,6 @@ from startracker.kernels import kernel
 from startracker.linalg import chord, rotate_back, triple_product
 from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status
-
-__all__ = ["pyramid", "smart_triples"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ROUNDS = ((60, 3, 500_000), (400, 2, 500_000), (100_000, 1, 500_000))
 """Triangles up to which each round goes, stars that must confirm one, and steps it may take, for each scale."""

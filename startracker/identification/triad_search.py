@@ -13,19 +13,14 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import IntArray
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_tables import TriadTables
 from startracker.kernels import kernel
 
 _PAIR_WORK, _TRIAD_WORK = 20.0, 2000.0
 """Operations of a catalogue pair within a window, and of a triad."""
-
-__all__ = ["TriadLimits", "Triads", "find_triads", "group_rotations", "image_pairs"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.kernels import kernel, kernel_with
 from startracker.linalg import triple_product
 from startracker.sorting import order_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Int32Array = NDArray[np.int32]
 
 PAIR_SIGMAS = 3.7
 """A true side is measured within this many standard errors: 2e-4 of them are lost, and there are other triangles."""

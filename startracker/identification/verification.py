@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
@@ -18,9 +18,6 @@ from startracker.identification.search_state import Stars
 from startracker.kernels import kernel
 from startracker.linalg import rotate_back, solve, transform, turned
 from startracker.sorting import sort
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 GATE_SIGMAS = 4.5
 FOCAL_SIGMA = 0.01

@@ -9,13 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.estimation.directions import normal_equations
 from startracker.kernels import kernel
 from startracker.linalg import factorise, transform
-
-FloatArray = NDArray[np.float64]
 
 _SMALL = 0.03
 """Angle of a step, rad, below which series are used, as the closed forms lose precision."""

@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
@@ -21,9 +21,6 @@ from startracker.estimation.directions import fit_turn
 from startracker.kernels import kernel
 from startracker.linalg import cross, inverse, transform, turned
 from startracker.tracking.evidence import log_evidence
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 GATE2 = 18.4
 """Limit of the squared Mahalanobis distance of a star, which is exceeded with probability 1e-4 (χ², two axes)."""

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.kernels import kernel
 from startracker.sorting import median
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 FloatImage = NDArray[np.float32]
 
 _SIGMA_OF_MAD = 1.4826

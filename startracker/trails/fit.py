@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import RING_SHARE
 from startracker.detection.values import is_value
@@ -32,11 +33,7 @@ from startracker.trails.model import (
     window_pixels,
 )
 
-__all__ = ["best_stretches", "fit_trail", "light_along", "measure_trails"]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 _FIRST_STEPS, _STEPS = 3, 10
 """At most, before pixels are tested for outliers and after: far from the minimum all of a bright trail would be."""

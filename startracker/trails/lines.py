@@ -8,22 +8,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray
 from startracker.detection.matched import matched_kernel
 from startracker.detection.motion import motion_at
 from startracker.detection.plane import Plane
 from startracker.kernels import kernel
 
-__all__ = [
-    "COARSE_SIGMA",
-    "LONGEST_SHARE",
-    "SHORTEST_PX",
-    "best_lines",
-    "bin_residual",
-    "candidate_lines",
-    "lines_along",
-]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
 
 SHORTEST_PX = 8.0

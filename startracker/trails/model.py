@@ -7,34 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_with
 
-__all__ = [
-    "ANGLE",
-    "FLUX",
-    "HALF",
-    "LINE",
-    "POSITION",
-    "SHAPE",
-    "SIGMA",
-    "SKY",
-    "TURNED",
-    "X",
-    "Y",
-    "is_near",
-    "linearise",
-    "normal_equations",
-    "residual_of",
-    "set_light",
-    "subtract_trail",
-    "window_pixels",
-]
-
-FloatArray = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 X, Y, FLUX, SKY, ANGLE, HALF, SIGMA = range(7)
 """Parameters of a trail: middle, px; light and level beside it, DN; direction, rad; half length and width, px."""

@@ -10,17 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.catalog.field_shape import FieldShape, field_shape, in_shape
 from startracker.catalog.voxels import VoxelGrid, stars_in_cone
 from startracker.kernels import kernel
-
-__all__ = ["accumulate_information", "circle", "count_by_level", "outline", "solid_angle_sr"]
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def outline(camera: Camera) -> FieldShape:

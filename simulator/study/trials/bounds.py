@@ -24,13 +24,10 @@ from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.image_map import pixel_slopes as slopes_of_pixels
 from startracker.kernels import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 SAME_STAR_PX = 3.0
 """A matched centroid is attributed to the brightest true star within this distance."""
