@@ -11,7 +11,6 @@ from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.live.mrp import attitude_of_mrp, euler_parameters, mrp_of_attitude
 from simulator.mission.clock import Clock
@@ -26,6 +25,7 @@ from simulator.scenario.schema import SequenceSection
 from simulator.sky.solar_system import RADIUS_KM
 from simulator.study.sequence.camera import Moment, SequenceCamera, TrackedFrame
 from simulator.study.statistics import CAMERA_AXES
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.solution import Solution
@@ -39,8 +39,6 @@ except ImportError as error:
     ) from error
 
 __all__ = ["INERTIAL_FRAMES", "CameraStarTracker", "Measurement"]
-
-FloatArray = NDArray[np.float64]
 
 INERTIAL_FRAMES = ("icrf", "eme2000", "ecliptic")
 """Axes that Basilisk's frame N can have (`simulator.mission.frames.to_frame`)."""

@@ -8,14 +8,13 @@ and the angle by which the frame B is rotated from N (Schaub & Junkins, *Analyti
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from startracker.arrays import FloatArray
 from startracker.attitude import Attitude
 from startracker.errors import InputError
 
 __all__ = ["attitude_of_mrp", "euler_parameters", "mrp_of_attitude"]
-
-FloatArray = NDArray[np.float64]
 
 
 def attitude_of_mrp(sigma: ArrayLike, source: str = "inertial", target: str = "body") -> Attitude:

@@ -21,13 +21,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.live.stimulator.patterns import COLOURS, TOP_LEVEL
+from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.kernels import kernel
 
 __all__ = ["DITHERING", "Curve", "Photometry", "uniformity_terms"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 DITHERING = ("none", "spatial", "temporal")
 """Nearest level; the error of a pixel corrected in the next ones of the same star; levels that alternate from picture
