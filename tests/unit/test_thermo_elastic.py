@@ -28,7 +28,7 @@ def test_the_angle_is_zero_at_noon_and_half_a_turn_in_the_middle_of_the_eclipse(
     period_s = renderer.scenes.orbit.period_s
     times = np.linspace(0.0, period_s, 400, endpoint=False)
     renderer.scenes.plan(times)
-    now = [renderer.scenes._instant_at(t) for t in times]
+    now = [renderer.scenes.instant_at(t) for t in times]
     suns = [n.sun_au - n.observer.position_au for n in now]
     angles = np.array([angle_from_noon_rad(n.r_km, n.v_km_s, s) for n, s in zip(now, suns, strict=True)])
     # one revolution; J2 speeds the argument of latitude up against the two-body period, and the Sun moves: 1e-3
