@@ -28,12 +28,13 @@ def bright_sky() -> bytes:
         ``{"stars": [{"ra_deg", "dec_deg", "magnitude", "colour", "name"}], "lines": [[[ra_deg, dec_deg], …]]}``: ICRS,
         J2000.0; colours as ``#rrggbb`` (sRGB, from B−V), names of the stars brighter than V = 2.5.
     """
+    from colour.models import eotf_inverse_sRGB
+
     catalog = load_catalog("bsc5")
     ra_deg, dec_deg = np.degrees(catalog.ra_rad), np.degrees(catalog.dec_rad)
     rows = np.flatnonzero(catalog.v_mag < _FAINTEST_MAG)
     rows = rows[np.argsort(catalog.v_mag[rows], kind="stable")]
-    linear = rgb_of_b_v(catalog.b_v[rows])
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)  # IEC 61966-2-1
+    encoded = eotf_inverse_sRGB(rgb_of_b_v(catalog.b_v[rows]))
     stars = [
         {
             "ra_deg": round(float(ra_deg[row]), 3),

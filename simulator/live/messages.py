@@ -121,10 +121,10 @@ def _detections(solution: Solution, gain_e_per_dn: float) -> list[Any]:
 def _stars(solution: Solution) -> list[MatchedStar]:
     stars = solution.stars
     residuals = np.hypot(*stars.residual_px.T).tolist() if len(stars) else []
-    columns = zip(stars.xy.tolist(), stars.catalog_id.tolist(), stars.name.tolist(), residuals, stars.v_mag.tolist())  # noqa: B905
+    columns = (stars.xy.tolist(), stars.catalog_id.tolist(), stars.name.tolist(), residuals, stars.v_mag.tolist())
     return [
         MatchedStar(x=x, y=y, id=number, name=proper_name(name) or designation(name), residual_px=off, magnitude=v_mag)
-        for (x, y), number, name, off, v_mag in columns
+        for (x, y), number, name, off, v_mag in zip(*columns, strict=True)
     ]
 
 

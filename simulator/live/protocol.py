@@ -9,7 +9,7 @@ that is not defined (an attitude that was not solved) is null.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
 
@@ -240,7 +240,7 @@ CLIENT_MESSAGES: dict[str, type[_FromClient]] = {
 }
 """Messages of clients by type, except the commands."""
 COMMANDS: dict[str, type[_FromClient]] = {
-    kind.model_fields["name"].annotation.__args__[0]: kind  # type: ignore[union-attr]
+    get_args(kind.model_fields["name"].annotation)[0]: kind
     for kind in (Pause, Resume, Step, Speed, Source, Kick, Blind, Unblind, Saa, Seek, Record, StopRecording)
 }
 """Commands by name."""
