@@ -9,16 +9,15 @@ exceed its buffer, which gives a status.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FULL_TURN, SCALE, FixedArithmetic, FixedSky
+from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.cordic import STEPS_DEG
 from startracker.fixed_point.formats import SEPARATION, integers
 from startracker.fixed_point.square_root import CROSSOVER
@@ -185,39 +184,39 @@ def _constants(
     }
 
 
-def _arrays(tracker: IntegerTracker, sky: FixedSky) -> list[_Table]:
+def _arrays(tracker: IntegerTracker, sky: FixedSky) -> list[CTable]:
     """Constant arrays: functions, the sub-catalogue and its pairs, guide stars, verification."""
     tables, check = tracker.tables, tracker.verification
     return [
-        _Table("uint16_t", "cosine", "cosines of 1.15 by angles of 6.10", cosine_table()),
-        _Table("int16_t", "arccosine", "degrees of 6.10 by cosines of 1.15", arccosine_table()[0]),
-        _Table("uint16_t", "quadrant", "degrees of 10.6 by cosines of 1.15", quadrant_table()),
-        _Table("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 fraction bits", np.array(STEPS_DEG)),
-        _Table("int32_t", "star_number", "catalogue numbers", tables.id),
-        _Table("uint16_t", "star_rank", "order of brightness", integers(tables.v_mag)),
-        _Table("int32_t", "star_ra", "degrees of 10.22", sky.ra),
-        _Table("int32_t", "star_dec", "degrees of 10.22", sky.dec),
-        _Table("int32_t", "star_direction", "unit vectors of 2.30", sky.directions),
-        _Table("int16_t", "pair_separation", "degrees of 6.10, ascending", tables.separation),
-        _Table("uint16_t", "pair_first", "indices of stars", tables.first),
-        _Table("uint16_t", "pair_second", "indices of stars", tables.second),
-        _Table("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", check.guide),
-        _Table("int32_t", "guide_number", "their catalogue numbers", tracker.guide_number),
-        _Table("uint16_t", "guide_of_star", "guide star of each star", tracker.guide_of_star),
-        _Table("int64_t", "gate", "squared matching radii, units of the plane", check.gates),
-        _Table("int32_t", "log_cell", "log2 of 2 pi sigma^2, of each width", check.log_cell),
-        _Table("int64_t", "quadratic", "log2(e) / 2 sigma^2, 32 fraction bits", check.quadratic),
-        _Table("int64_t", "farthest", "largest squared distance", check.farthest),
-        _Table("int32_t", "log_volume", "log2 of prior and volume", check.log_volume),
-        _Table("int16_t", "log_table", "log2(1 + k / 256)", check.log_table),
-        _Table("int16_t", "sum_table", "log2(1 + 2^-x)", check.sum_table),
-        _Table("int32_t", "distracting", "log2 of the weight of k false stars", check.distracting),
-        _Table("int32_t", "seeing", "log2 of the weight of m stars detected and k not", check.seeing),
-        _Table("int32_t", "total", "log2 of the total weight, n points, up to k guide stars", check.total),
+        CTable("uint16_t", "cosine", "cosines of 1.15 by angles of 6.10", cosine_table()),
+        CTable("int16_t", "arccosine", "degrees of 6.10 by cosines of 1.15", arccosine_table()[0]),
+        CTable("uint16_t", "quadrant", "degrees of 10.6 by cosines of 1.15", quadrant_table()),
+        CTable("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 fraction bits", np.array(STEPS_DEG)),
+        CTable("int32_t", "star_number", "catalogue numbers", tables.id),
+        CTable("uint16_t", "star_rank", "order of brightness", integers(tables.v_mag)),
+        CTable("int32_t", "star_ra", "degrees of 10.22", sky.ra),
+        CTable("int32_t", "star_dec", "degrees of 10.22", sky.dec),
+        CTable("int32_t", "star_direction", "unit vectors of 2.30", sky.directions),
+        CTable("int16_t", "pair_separation", "degrees of 6.10, ascending", tables.separation),
+        CTable("uint16_t", "pair_first", "indices of stars", tables.first),
+        CTable("uint16_t", "pair_second", "indices of stars", tables.second),
+        CTable("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", check.guide),
+        CTable("int32_t", "guide_number", "their catalogue numbers", tracker.guide_number),
+        CTable("uint16_t", "guide_of_star", "guide star of each star", tracker.guide_of_star),
+        CTable("int64_t", "gate", "squared matching radii, units of the plane", check.gates),
+        CTable("int32_t", "log_cell", "log2 of 2 pi sigma^2, of each width", check.log_cell),
+        CTable("int64_t", "quadratic", "log2(e) / 2 sigma^2, 32 fraction bits", check.quadratic),
+        CTable("int64_t", "farthest", "largest squared distance", check.farthest),
+        CTable("int32_t", "log_volume", "log2 of prior and volume", check.log_volume),
+        CTable("int16_t", "log_table", "log2(1 + k / 256)", check.log_table),
+        CTable("int16_t", "sum_table", "log2(1 + 2^-x)", check.sum_table),
+        CTable("int32_t", "distracting", "log2 of the weight of k false stars", check.distracting),
+        CTable("int32_t", "seeing", "log2 of the weight of m stars detected and k not", check.seeing),
+        CTable("int32_t", "total", "log2 of the total weight, n points, up to k guide stars", check.total),
     ]
 
 
-def _header(constants: dict[str, int], arrays: list[_Table], most_steps: int) -> str:
+def _header(constants: dict[str, int], arrays: list[CTable], most_steps: int) -> str:
     """Text of ``tracker_tables.h``."""
     head = [
         "/* Tables of one camera and sub-catalogue; generated by boresight export-c. */",
@@ -242,34 +241,3 @@ def _most_partners(tables: TriadTables, tolerance: int) -> int:
     order = np.lexsort((separation, star))
     codes = star[order] * (1 << 20) + separation[order]
     return int((np.searchsorted(codes, codes + 2 * tolerance, side="right") - np.arange(len(codes))).max())
-
-
-@dataclass(frozen=True)
-class _Table:
-    """A constant array of C."""
-
-    type: str
-    name: str
-    meaning: str
-    values: NDArray[np.int64]
-
-    @property
-    def bytes(self) -> int:
-        return int(np.dtype(self.type[:-2]).itemsize * self.values.size)
-
-    @property
-    def declaration(self) -> str:
-        return f"const {self.type} tracker_{self.name}" + "".join(f"[{n}]" for n in self.values.shape)
-
-    def definition(self) -> Iterable[str]:
-        """Lines of the definition; every value is checked against the range of the type."""
-        limits = np.iinfo(self.type[:-2])
-        if self.values.min() < limits.min or self.values.max() > limits.max:
-            raise InputError(f"{self.name}: {self.values.min()} to {self.values.max()} does not fit {self.type}")
-        yield f"{self.declaration} = {{"
-        if self.values.ndim == 2:
-            yield from (f"    {{{', '.join(map(str, row))}}}," for row in self.values.tolist())
-        else:
-            flat = self.values.tolist()
-            yield from (f"    {', '.join(map(str, flat[n : n + 12]))}," for n in range(0, len(flat), 12))
-        yield "};"

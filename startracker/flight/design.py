@@ -1,0 +1,80 @@
+"""What a flight build is made for: a camera, its guide stars, its detector and the settings of its tracker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from startracker.camera import Camera
+from startracker.catalog.guide import GuideDatabase
+from startracker.errors import InputError
+from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+
+ARITHMETICS = ("fixed", "float")
+IDENTIFIERS = ("adaptive", "triads")
+
+
+@dataclass(frozen=True)
+class DetectorNumbers:
+    """What the tracker knows of its detector.
+
+    Parameters
+    ----------
+    gain_e_per_dn : float
+        Electrons per digital number.
+    read_noise_e : float
+        Standard deviation of the noise of a pixel without light, electrons.
+    saturation_dn : int
+        Pixels of this value or more are saturated, DN.
+    """
+
+    gain_e_per_dn: float
+    read_noise_e: float
+    saturation_dn: int
+
+
+@dataclass(frozen=True, eq=False)
+class FlightDesign:
+    """Input of a flight build.
+
+    Parameters
+    ----------
+    camera : Camera
+        Calibrated camera.
+    guide : GuideDatabase
+        Guide stars at the mission's epoch, without aberration, brightest first.
+    detector : DetectorNumbers
+    psf_sigma_px : float
+        Standard deviation of a Gaussian fitted to the star images, pixels.
+    detection, centroid, identification : settings
+        Those of `StarTracker`.
+    arithmetic : str
+        ``fixed``: integers only; ``float``: attitudes and directions in single precision.
+    identifier : str
+        ``adaptive`` or ``triads``.
+    name : str
+        Of the scenario, for the version in the object.
+    digest : str
+        Of the scenario.
+
+    Raises
+    ------
+    InputError
+        For an unknown arithmetic or identifier.
+    """
+
+    camera: Camera
+    guide: GuideDatabase
+    detector: DetectorNumbers
+    psf_sigma_px: float
+    detection: DetectionSettings = field(default_factory=DetectionSettings)
+    centroid: CentroidSettings = field(default_factory=CentroidSettings)
+    identification: IdentificationSettings = field(default_factory=IdentificationSettings)
+    arithmetic: str = "fixed"
+    identifier: str = "adaptive"
+    name: str = ""
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        for key, known in (("arithmetic", ARITHMETICS), ("identifier", IDENTIFIERS)):
+            if getattr(self, key) not in known:
+                raise InputError(f"{key} must be {' or '.join(known)}; got {getattr(self, key)!r}")
