@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from startracker.arrays import IntArray
-from startracker.flight.front_rows import Searched, at_columns, square_root
+from startracker.flight.front_background import at_columns, square_root
+from startracker.flight.front_rows import Searched
 from startracker.flight.front_tables import FrontTables
 
 LARGEST_FACTOR = 5
@@ -60,13 +60,14 @@ def major_variance(xx: IntArray, yy: IntArray, xy: IntArray) -> tuple[IntArray, 
     return middle + apart, middle - apart
 
 
-def find_objects(image: NDArray[np.uint16], searched: Searched, tables: FrontTables) -> Objects:
+def find_objects(searched: Searched, tables: FrontTables) -> Objects:
     """Components with a saturated pixel, or larger than a stamp: at most as many as stars are kept."""
+    image = searched.pixels
     number, count = ndimage.label(searched.above, np.ones((3, 3)))
     y, x = np.nonzero(number)
     which = number[y, x] - 1
     level = at_columns(searched.lines.level, tables, y, x)
-    light = np.maximum(image[y, x].astype(np.int64) - ((level + 128) >> 8), 0)
+    light = np.maximum(image[y, x] - ((level + 128) >> 8), 0)
 
     def total(values: IntArray) -> IntArray:
         out = np.zeros(count, np.int64)

@@ -3,8 +3,8 @@
 The C source (``c/tracker_rows.c`` and its companions) takes the frame row by row; this one works on whole arrays, with
 the same integers as result:
 
-1. `front_rows`: background and noise of tiles of 8 rows, followed along the frame; a separable matched filter; pixels
-   above the threshold; of their local maxima the highest, with a stamp of 11 × 11 pixels each. Left out are those that
+1. `front_background`, `front_rows`: background and noise of tiles of 4 rows, followed along the frame; hot pixels are
+   bridged; a separable matched filter; pixels above the threshold; of their local maxima the highest, with a stamp of 11 × 11 pixels each. Left out are those that
    no star is as sharp as, and those whose stamp is bright along its border.
 2. `front_components`: components of the pixels above, of which those are kept that no stamp holds: with saturated
    pixels, longer than a stamp, or larger than any star.
@@ -18,13 +18,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from startracker.arrays import BoolArray, IntArray
 from startracker.errors import InputError
+from startracker.flight.front_background import square_root
 from startracker.flight.front_components import LONG, SATURATED, Objects, find_objects, major_variance
 from startracker.flight.front_fit import Fits, fit_stars, misfit_variance
-from startracker.flight.front_rows import Candidates, find_candidates, search_rows, square_root
+from startracker.flight.front_rows import Candidates, find_candidates, search_rows
 from startracker.flight.front_stamps import (
     Trail,
     frame_trail,
@@ -81,7 +82,7 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
             f"got {pixels.shape} of {pixels.dtype}"
         )
     searched = search_rows(pixels, tables)
-    found, objects = find_candidates(pixels, searched, tables), find_objects(pixels, searched, tables)
+    found, objects = find_candidates(searched, tables), find_objects(searched, tables)
     shapes = measure_shapes(found, tables)
     good = select_candidates(found, objects)
     trail = frame_trail(found, shapes, good, tables)

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import BoolArray, IntArray
-from startracker.flight.front_rows import Candidates, square_root
+from startracker.flight.front_background import square_root
+from startracker.flight.front_rows import Candidates
 from startracker.flight.front_stamps import Shapes, Trail, inside_frame
 from startracker.flight.front_tables import HALF, FrontTables
 from startracker.flight.stars import MOST_VARIANCE

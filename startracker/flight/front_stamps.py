@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import BoolArray, IntArray
-from startracker.flight.front_components import Objects, major_variance, square_root
+from startracker.flight.front_background import square_root
+from startracker.flight.front_components import Objects, major_variance
 from startracker.flight.front_rows import Candidates
 from startracker.flight.front_tables import HALF, SHAPE_VARIANCE_PX2, FrontTables
 
@@ -66,7 +67,12 @@ def select_candidates(found: Candidates, objects: Objects) -> BoolArray:
     higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
     beside = (square <= _NEAREST) | ((square <= _HALO) & (_HALO_RATIO * found.height[:, None] < found.height))
     x, y, box = found.x[:, None], found.y[:, None], objects.box
-    boxed = (x >= box[:, 0] - _MARGIN) & (x <= box[:, 1] + _MARGIN) & (y >= box[:, 2] - _MARGIN) & (y <= box[:, 3] + _MARGIN)
+    boxed = (
+        (x >= box[:, 0] - _MARGIN)
+        & (x <= box[:, 1] + _MARGIN)
+        & (y >= box[:, 2] - _MARGIN)
+        & (y <= box[:, 3] + _MARGIN)
+    )
     return np.asarray(~(higher & beside).any(axis=1) & ~boxed.any(axis=1))
 
 

@@ -18,18 +18,18 @@ from startracker.fixed_point.c_table import CTable
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import VARIANCE_BITS
 
-FRONT_MODULES = ("rows", "components", "stamps", "fit")
-BLOCK = 8
+FRONT_MODULES = ("background", "rows", "components", "stamps", "fit", "front")
+BLOCK = 4
 """Rows of a block of the background."""
 HALF = 5
 """Half side of a stamp, pixels."""
 RUNS = 64
-"""Runs of a row above the threshold that are looked at."""
+"""Runs of a row above the threshold that are looked at, and hot pixels of a row that are bridged."""
 FIRST_TAP = 128
 LARGEST_SIDE = 4096
 SHAPE_VARIANCE_PX2 = 3.0
 """Variance of the weight under which star images are measured: wider than images smeared by 5 px."""
-_SAMPLES = 256
+_SAMPLES = 128
 _LONGEST_REACH = 4
 _PIXEL_VARIANCE = 1.0 / 12.0
 _FIT_WIDTHS = 2.5
@@ -209,7 +209,8 @@ def front_constants(tables: FrontTables) -> dict[str, int]:
         "BLOCKS": max(1, tables.height // BLOCK),
         "HALF": HALF,
         "SIDE": 2 * HALF + 1,
-        "RING": HALF + BLOCK,
+        "LAG": BLOCK + max(HALF, reach + 1),
+        "RING": HALF + BLOCK + max(HALF, reach + 1) + 1,
         "RUNS": RUNS,
         "TILES": tiles,
         "REACH": reach,
