@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from startracker.errors import InputError
-from startracker.fixed_point.export_c import MODULES, CExport
+from startracker.fixed_point.export_c import CExport
 
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 _HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign|sbrk)$")
@@ -134,7 +134,7 @@ def compile_export(export: CExport, folder: Path, target: Target = HOST, extra: 
     for name, text in export.files.items():
         (folder / name).write_text(text, encoding="utf-8")
     objects = []
-    solver = [f"{export.prefix}_{module}" for module in ("tables", *MODULES)]
+    solver = [f"{export.prefix}_{module}" for module in ("tables", *export.modules)]
     for name in (*solver, "main"):
         objects.append(str(folder / f"{name}.o"))
         source = ["-fstack-usage", "-c", "-o", objects[-1], str(folder / f"{name}.c")]
