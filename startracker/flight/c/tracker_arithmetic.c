@@ -1,8 +1,7 @@
-/* Real numbers and vectors in integers, or in single precision: see tracker_arithmetic.h and startracker/flight/real.py. */
+/* Real numbers in integers, or in single precision: see tracker_arithmetic.h and startracker/flight/real.py. */
 #include "tracker_arithmetic.h"
 
 #define BITS 31
-#define LEAST_LENGTH (1 << 20)
 #define LARGEST ((int64_t)1 << 62)
 
 #ifdef TRACKER_FLOAT
@@ -74,23 +73,6 @@ tracker_real tracker_real_root(tracker_real x)
     for (step = 0; step < NEWTON_STEPS; step++)
         y = 0.5f * (y + f / y);
     return scaled(y, e / 2);
-}
-
-tracker_axis tracker_axis_dot(const tracker_axis a[3], const tracker_axis b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-int tracker_axis_unit(tracker_axis v[3])
-{
-    const float length = tracker_real_root(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-    int k;
-
-    if (!(length > 0.0009765625f))
-        return 0;
-    for (k = 0; k < 3; k++)
-        v[k] /= length;
-    return 1;
 }
 
 #else
@@ -192,16 +174,6 @@ tracker_real tracker_real_root(tracker_real x)
     return normal(tracker_square_root(x.m * ((int64_t)1 << shift)), (x.e - shift) / 2);
 }
 
-tracker_axis tracker_axis_dot(const tracker_axis a[3], const tracker_axis b[3])
-{
-    return tracker_dot(a, b);
-}
-
-int tracker_axis_unit(tracker_axis v[3])
-{
-    return tracker_unit(v, LEAST_LENGTH);
-}
-
 /* Exponent e of x = f 2^e with 1 <= f < 2, for x > 0; f is written to x. */
 static int split(tracker_real *x)
 {
@@ -219,14 +191,6 @@ static tracker_real scaled(tracker_real x, int exponent)
 }
 
 #endif
-
-void tracker_axis_cross(const tracker_axis a[3], const tracker_axis b[3], tracker_axis out[3])
-{
-    int k;
-
-    for (k = 0; k < 3; k++)
-        out[k] = tracker_axis_difference(a[(k + 1) % 3], b[(k + 2) % 3], a[(k + 2) % 3], b[(k + 1) % 3]);
-}
 
 /* sum of x^(2k + 1) / (2k + 1), with alternating signs if `sign` is -1. */
 static tracker_real odd_series(tracker_real x, int terms, int sign)

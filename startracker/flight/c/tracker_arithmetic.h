@@ -1,8 +1,7 @@
-/* Real numbers of the attitude and of the filter, and vectors of the verification, in one of two arithmetics.
+/* Real numbers of the attitude's fit and of the filter, in one of two arithmetics.
  *
  *                   TRACKER_FLOAT defined              otherwise
  * tracker_real      float                              31-bit mantissa and exponent in integers, truncated
- * tracker_axis      float, 1 is 1.0                    int64_t of 2.30
  *
  * Both have no library call. The float version takes roots by Newton's method and functions by polynomials; it needs
  * IEEE single precision in every step (FLT_EVAL_METHOD 0, -ffp-contract=off), so that all processors give the same bits.
@@ -12,17 +11,13 @@
 
 #include "tracker_integers.h"
 
-#define TRACKER_ONE ((int64_t)1 << 30)
-
 #ifdef TRACKER_FLOAT
 typedef float tracker_real;
-typedef float tracker_axis;
 #else
 typedef struct {
     int32_t m; /* 0, or 2^30 <= |m| < 2^31 */
     int32_t e; /* the number is m 2^e */
 } tracker_real;
-typedef int64_t tracker_axis;
 #endif
 
 /* ------------------------------------------------------------------ real numbers: |exponent| <= 120
@@ -86,68 +81,5 @@ static inline int tracker_less(tracker_real a, tracker_real b)
 {
     return tracker_sign(tracker_subtract(a, b)) < 0;
 }
-
-/* ------------------------------------------------------------------ unit vectors of the verification */
-#ifdef TRACKER_FLOAT
-
-static inline tracker_axis tracker_axis_of(int64_t n) /* of 2.30 */
-{
-    return (float)n * (1.0f / 1073741824.0f);
-}
-
-static inline int64_t tracker_axis_to(tracker_axis a)
-{
-    return (int64_t)(int32_t)(a * 1073741824.0f); /* |a| < 2 */
-}
-
-/* a b, and a b - c d of small angles and components of unit vectors */
-static inline tracker_axis tracker_axis_product(tracker_axis a, tracker_axis b)
-{
-    return a * b;
-}
-
-static inline tracker_axis tracker_axis_difference(tracker_axis a, tracker_axis b, tracker_axis c, tracker_axis d)
-{
-    return a * b - c * d;
-}
-
-/* u n / w for |u| <= w, n an integer below 2^28, truncated */
-static inline int64_t tracker_axis_ratio(tracker_axis u, int64_t n, tracker_axis w)
-{
-    return (int64_t)(int32_t)(u * (float)n / w);
-}
-
-#else
-
-static inline tracker_axis tracker_axis_of(int64_t n)
-{
-    return n;
-}
-
-static inline int64_t tracker_axis_to(tracker_axis a)
-{
-    return a;
-}
-
-static inline tracker_axis tracker_axis_product(tracker_axis a, tracker_axis b)
-{
-    return tracker_shift_right(a * b, 30);
-}
-
-static inline tracker_axis tracker_axis_difference(tracker_axis a, tracker_axis b, tracker_axis c, tracker_axis d)
-{
-    return tracker_shift_right(a * b - c * d, 30);
-}
-
-static inline int64_t tracker_axis_ratio(tracker_axis u, int64_t n, tracker_axis w)
-{
-    return u * n / w;
-}
-
-#endif
-
-tracker_axis tracker_axis_dot(const tracker_axis a[3], const tracker_axis b[3]);
-void tracker_axis_cross(const tracker_axis a[3], const tracker_axis b[3], tracker_axis out[3]);
-int tracker_axis_unit(tracker_axis v[3]); /* normalises in place; 0: shorter than 0.001 */
 
 #endif
