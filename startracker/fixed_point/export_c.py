@@ -28,9 +28,15 @@ if TYPE_CHECKING:
     from startracker.identification.triad_search import TriadLimits
     from startracker.identification.triad_tables import TriadTables
 
-MODULES = ("integers", "attitude", "verification", "triads")
+MODULES = ("integers", "separations", "attitude", "verification", "triads")
 """Modules of the solver that do not depend on the camera: ``<prefix>_<module>.c``."""
-_SOURCES = ("tracker.h", "tracker_internal.h", *(f"tracker_{module}.c" for module in MODULES), "main.c")
+_SOURCES = (
+    "tracker.h",
+    "tracker_internal.h",
+    "tracker_integers.h",
+    *(f"tracker_{module}.c" for module in MODULES),
+    "main.c",
+)
 _MAKEFILE = """\
 CFLAGS = -std=c99 -O2 -Wall -Wextra -Wpedantic -Wconversion -Werror
 OBJECTS = tracker_tables.o {objects}
@@ -38,7 +44,7 @@ OBJECTS = tracker_tables.o {objects}
 solve: main.o $(OBJECTS)
 \t$(CC) $(CFLAGS) $(LDFLAGS) -o $@ main.o $(OBJECTS)
 
-%.o: %.c tracker.h tracker_internal.h tracker_tables.h
+%.o: %.c tracker.h tracker_internal.h tracker_integers.h tracker_tables.h
 \t$(CC) $(CFLAGS) -c -o $@ $<
 
 clean:
