@@ -14,8 +14,9 @@ from simulator.cli.centroid_list import parse_size
 from simulator.cli.requests import ExportRequest
 from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
-from simulator.study.exported_c.build import Build, compile_export, native_compiler
+from simulator.study.exported_c.build import Build, compile_export
 from simulator.study.exported_c.centroid_lists import centroid_list, list_text
+from simulator.study.exported_c.targets import native_compiler
 from simulator.theses.yee1999.catalogue import SubCatalog, sub_catalog
 from startracker.errors import InputError
 from startracker.fixed_point.export_c import CExport, export_c

@@ -319,7 +319,7 @@ def _quiet(server: type[Any]) -> type[Any]:
 def _bound(host: str, port: int) -> socket.socket:
     """Socket that is bound; `InputError` if it cannot be."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    bound = socket.socket(family, socket.SOCK_STREAM)
+    bound = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)  # asyncio turns off Nagle's delay by it
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         bound.bind((host.strip("[]"), port))

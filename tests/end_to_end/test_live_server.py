@@ -1,5 +1,6 @@
 """The server of a live mission: frames and solutions on both transports, slow clients, hostile input, its end."""
 
+import asyncio
 import signal
 import socket
 import subprocess
@@ -15,7 +16,7 @@ from live_client import lines, running, small, websocket
 
 from simulator.checks import load_scenario
 from simulator.cli.application import run_application
-from simulator.live.server import LiveServer, ServerOptions
+from simulator.live.server import LiveServer, ServerOptions, _bound
 from simulator.study.sequence.frames import SequenceRunner
 from startracker.attitude import Attitude
 from startracker.errors import InputError
@@ -57,6 +58,27 @@ def test_attitudes_are_those_of_a_sequence_bit_for_bit():
             assert truth["quaternion"] == [tracked.row[f"true_q{axis}"] for axis in "xyzw"]
             assert "quaternion" not in frame
             assert (solution["status"], solution["reason"]) == (tracked.row["status"], tracked.row["reason"])
+
+
+def test_small_messages_are_sent_at_once():
+    """A solution after a frame waited 40 ms, for the acknowledgement of the frame's last packet (Nagle's algorithm)."""
+
+    async def accepted() -> int:
+        answer: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+        async def answer_one(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            answer.set_result(writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        listening = _bound("127.0.0.1", 0)
+        async with await asyncio.start_server(answer_one, sock=listening):
+            _, writer = await asyncio.open_connection(*listening.getsockname())
+            no_delay = await answer
+            writer.close()
+            await writer.wait_closed()
+        return no_delay
+
+    assert asyncio.run(accepted()) != 0
 
 
 def test_welcome_says_what_there_is(talk):
