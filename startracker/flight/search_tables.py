@@ -17,7 +17,6 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import field_shape
 from startracker.catalog.guide import GuideDatabase, brightest_everywhere
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.evidence import LOG_BITS
 from startracker.fixed_point.vectors import DIRECTION
 from startracker.flight.design import FlightDesign
@@ -43,6 +42,7 @@ PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD = 0.3, 0.8, 14
 circle around the field: if an image has few stars, they are those and far apart."""
 _BINS = 2048
 COLUMNS = 64
+COLUMN_SHIFT = 31 - COLUMNS.bit_length() + 1
 """Columns of the grid along x and along y: squares of the unit disc."""
 QUADRANT = 64
 """Entries of the outline a quadrant."""
@@ -50,7 +50,7 @@ _FAINTEST_DIFFERENCE = 6.0
 CROWD_FROM, CROWD_STEP_BITS = -8, 7
 """First logarithm of the crowding's table, and the shift from logarithms to entries."""
 _CROWD_TO = 15
-_MOST_NEEDED = 12
+_MOST_NEEDED, _MARGIN = 12, 1024
 WIDE_MAG, WIDE_SHARE, FLOOR, EVEN = 1.5, 0.2, 1e-3, 0.1
 """Those of `bayes_factor` and `clustering_null`: wings of the magnitudes, least density, share of points anywhere."""
 
@@ -161,7 +161,7 @@ def search_tables(
         axes,
         outline,
         int(outline.min()),
-        math.ceil(math.sqrt(2.0 * (1.0 - shape.widest_cosine)) * (1 << DIRECTION_BITS)) + 2,
+        math.ceil(math.sqrt(2.0 * (1.0 - shape.widest_cosine)) * (1 << DIRECTION_BITS)) + _MARGIN,
         int(_down(log_area)),
         int(_up(log_area)),
         _down(np.log2(1.0 + np.arange(256) / 256.0)),
@@ -184,61 +184,6 @@ def search_tables(
         np.array([[_largest_mean(k, chance) for k in range(1, _MOST_NEEDED + 1)] for chance in CHANCES]),
         round(tolerance * (1 << MAGNITUDE_BITS)),
     )
-
-
-def search_constants(t: SearchTables) -> dict[str, int]:
-    """Numbers of the header by name, without the prefix."""
-    return {
-        "SEARCH_GUIDES": len(t.guide),
-        "SEARCH_PAIRS": len(t.first),
-        "SEARCH_BINS": len(t.bin_start) - 1,
-        "SEARCH_BIN_SHIFT": t.bin_shift,
-        "SEARCH_LONGEST": t.longest,
-        "SEARCH_COLUMNS": COLUMNS,
-        "SEARCH_QUADRANT": QUADRANT,
-        "SEARCH_LEAST_COSINE": t.least_cosine,
-        "SEARCH_FIELD_CHORD": t.field_chord,
-        "SEARCH_PIXEL2": t.pixel2,
-        "SEARCH_LOG_AREA": t.log_area,
-        "SEARCH_LOG_AREA_UP": t.log_area_up,
-        "SEARCH_LOG_RATE": t.log_rate,
-        "SEARCH_LEAST_STARS": t.least_stars,
-        "SEARCH_MAX_DEPTH": t.seeing.shape[1] - 1,
-        "SEARCH_SUMS": len(t.sum_table),
-        "SEARCH_CROWD_ENTRIES": len(t.crowd_table),
-        "SEARCH_DENSITY_ENTRIES": t.density_table.shape[1],
-        "SEARCH_WIDTHS": len(t.log_scale2),
-        "SEARCH_MOST_NEEDED": t.needed.shape[1],
-        "SEARCH_MAGNITUDE_TOLERANCE": t.magnitude_tolerance,
-    }
-
-
-def search_arrays(t: SearchTables) -> list[CTable]:
-    """Constant arrays: guide stars, pairs, grid, outline, evidence."""
-    return [
-        CTable("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", t.guide),
-        CTable("int16_t", "guide_magnitude", "their V, 6 fraction bits", t.magnitude),
-        CTable("int32_t", "guide_number", "their catalogue numbers", t.number),
-        CTable("uint16_t", "pair_first", "guide stars of the pairs, by bins of their chords", t.first),
-        CTable("uint16_t", "pair_second", "the same", t.second),
-        CTable("uint32_t", "bin_start", "first pair of each bin", t.bin_start),
-        CTable("uint16_t", "column_start", "first entry of each column of the grid", t.column_start),
-        CTable("uint16_t", "column_star", "guide stars of the columns", t.column_star),
-        CTable("int32_t", "outline_axes", "axes of the outline, 2.30", t.outline_axes),
-        CTable("int32_t", "outline", "least cosine from the image's centre, 2.30", t.outline),
-        CTable("int16_t", "log_table", "log2(1 + k / 256)", t.log_table),
-        CTable("int16_t", "sum_table", "log2(1 + 2^-x)", t.sum_table),
-        CTable("int32_t", "crowd_table", "1 / (1 + x)^2, 30 fraction bits", t.crowd_table),
-        CTable("int32_t", "density_table", "densities of magnitudes, 20 fraction bits", t.density_table),
-        CTable("int16_t", "distracting", "log2 of the weight of k false stars, 6 fraction bits", t.distracting),
-        CTable("int16_t", "seeing", "log2 of the weight of m stars detected and k not, 6 fraction bits", t.seeing),
-        CTable("int16_t", "total", "log2 of the total weight, n stars, up to k guide stars", t.total),
-        CTable("int32_t", "log_scale2", "log2 of the squared width", t.log_scale2),
-        CTable("int32_t", "quadratic", "log2(e) / 2 over the squared width, 20 fraction bits", t.quadratic),
-        CTable("int32_t", "log_volume", "log2 of prior and volume of each width", t.log_volume),
-        CTable("int32_t", "log_density", "log2 of the density of ln B, by the number of stars", t.log_density),
-        CTable("int32_t", "needed", "largest mean of matches by chance, 16 fraction bits", t.needed),
-    ]
 
 
 def _pairs(
@@ -264,7 +209,7 @@ def _pairs(
 
 def column_of(coordinate: ArrayLike) -> IntArray:
     """Column of the grid of coordinates from −1 to 1 of 2.30."""
-    cell = (np.asarray(coordinate, dtype=np.int64) + (1 << 30)) >> (31 - COLUMNS.bit_length() + 1)
+    cell = (np.asarray(coordinate, dtype=np.int64) + (1 << 30)) >> COLUMN_SHIFT
     return np.asarray(np.clip(cell, 0, COLUMNS - 1))
 
 

@@ -16,8 +16,9 @@ import numpy as np
 from startracker.arrays import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
 from startracker.fixed_point.vectors import quotient
+from startracker.flight.directions import aberrated, turned
 from startracker.flight.evidence import LOG_UP, Match, Sight, log_down, weigh
-from startracker.flight.integers import cross, normalized, shifted
+from startracker.flight.integers import cross, shifted
 from startracker.flight.search_tables import QUADRANT, SQUARE_BITS, SearchTables
 from startracker.identification.verification import MOST_EXTRA
 
@@ -30,7 +31,6 @@ GATES = (
 ROUNDS = 5
 WEIGHT_BITS = 12
 _ONE = 1 << 30
-_LEAST_LENGTH = 1 << 20
 _LARGEST_TURN = 1 << 27  # of 2.30: 7°
 _DIVISOR_SHIFT = 16
 _FARTHEST2 = 1 << 54  # squared chord of 7°
@@ -89,12 +89,6 @@ def inside(seen: IntArray, t: SearchTables) -> IntArray:
     low, rest = np.where(low == 4 * QUADRANT, low - 1, low), np.where(low == 4 * QUADRANT, 256, rest)
     least = t.outline[low] + (((t.outline[low + 1] - t.outline[low]) * rest) >> 8)
     return np.asarray(near & (z >= least))
-
-
-def aberrated(direction: IntArray, velocity: IntArray) -> IntArray:
-    """Apparent directions (K, 3) for an observer with this velocity over that of light, 2.30: first order."""
-    along = (direction @ velocity) >> 30
-    return np.asarray(direction + velocity - ((along[:, None] * direction) >> 30))
 
 
 def matched(seen: Sight, predicted: IntArray, gate: int) -> tuple[IntArray, IntArray]:
@@ -161,9 +155,8 @@ def _step(normal: _Normal) -> IntArray | None:
     divisor = normal.determinant >> _DIVISOR_SHIFT
     if divisor < 1 << 12:
         return None
-    right, down = normal.gradient, 0
-    while int(np.abs(right).max()) >= _ONE:
-        right, down = right >> 1, down + 1
+    down = max(int(np.abs(normal.gradient).max()).bit_length() - 30, 0)
+    right = normal.gradient >> down
     power = 30 - normal.shift + down - _DIVISOR_SHIFT
     step = np.empty(3, np.int64)
     for i in range(3):
@@ -172,18 +165,6 @@ def _step(normal: _Normal) -> IntArray | None:
             return None
         step[i] = shifted(value, power)
     return None if int(np.abs(step).max()) > _LARGEST_TURN else step
-
-
-def turned(matrix: IntArray, step: IntArray) -> IntArray | None:
-    """Attitude rotated by small angles of 2.30 about the camera's axes."""
-    x, y, z = (int(angle) for angle in step)
-    first = normalized(matrix[0] + ((y * matrix[2] - z * matrix[1]) >> 30), _LEAST_LENGTH)
-    third = normalized(matrix[2] + ((x * matrix[1] - y * matrix[0]) >> 30), _LEAST_LENGTH)
-    if first is None or third is None:
-        return None
-    along = int(first @ third) >> 30
-    first = normalized(first - ((along * third) >> 30), _LEAST_LENGTH)
-    return None if first is None else np.stack([first, cross(third, first), third])
 
 
 def verify(
@@ -255,7 +236,7 @@ def _settle(matrix: IntArray, seen: Sight, field: Field, gates: tuple[int, int])
             return _Settled(matrix, index, square, predicted, round_ + 1)
         last = index
         step = _step(_normal(seen, predicted, index))
-        rotated = None if step is None else turned(matrix, step)
+        rotated = None if step is None else turned(matrix, -step)
         if rotated is None:
             return _Settled(matrix, None, square, predicted, round_ + 1)
         matrix = rotated

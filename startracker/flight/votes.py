@@ -28,7 +28,7 @@ MOST_VOTES, MOST_KEPT, MOST_COUNT = 1024, 8192, 255
 ABERRATION = 107
 """Relative error of a separation, as the pairs are those without aberration, 20 fraction bits."""
 _LEAST_ERRORS = 3
-_AREA_SHIFT = 22
+_AREA_SHIFT = 30
 
 
 class Stars(NamedTuple):
@@ -153,6 +153,7 @@ def _agreeing(
     """Candidates (K, 5), the best of each guide star, and the votes compared."""
     order = np.argsort(votes[:, 2], kind="stable")
     sorted_ = votes[order]
+    sorted_ = sorted_[np.arange(len(order)) - np.searchsorted(sorted_[:, 2], sorted_[:, 2]) < MOST_COUNT]
     x, y = _same_star(sorted_[:, 2])
     compared = len(x)
     other = sorted_[x, 0] != sorted_[y, 0]
@@ -170,8 +171,8 @@ def _agreeing(
     agree &= thin | ((observed > 0) == (known > 0))
     x, y = x[agree], y[agree]
     pairs = np.unique(np.stack([x, sorted_[y, 0]], axis=1), axis=0)  # a neighbour counts once
-    agreeing = np.bincount(pairs[:, 0], minlength=len(votes)) + 1
-    with_ = np.full(len(votes), -1, np.int64)
+    agreeing = np.bincount(pairs[:, 0], minlength=len(sorted_)) + 1
+    with_ = np.full(len(sorted_), -1, np.int64)
     with_[pairs[::-1, 0]] = pairs[::-1, 1]  # the nearest one that agrees
     good = np.flatnonzero(agreeing >= search.need)
     # of each guide star the vote with most agreeing ones, of equal ones that of the farthest neighbour
@@ -193,7 +194,7 @@ def _same_star(star: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _area(p: IntArray, q: IntArray, r: IntArray) -> IntArray:
-    """Twice the area of spherical triangles (…, 3), positive if counted about the outward normal, 2⁻³⁸."""
+    """Twice the area of spherical triangles (…, 3), positive if counted about the outward normal, 2⁻³⁰."""
     u, v = q - p, r - p
     i, j = [1, 2, 0], [2, 0, 1]
     normal = (u[..., i] * v[..., j] - u[..., j] * v[..., i]) >> _AREA_SHIFT
