@@ -20,6 +20,7 @@ from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
 from startracker.fixed_point.export_c import CExport
 from startracker.flight.design import FlightDesign
+from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants, grid_tables
 
 _FOLDERS = ("startracker.flight", "startracker.fixed_point")
 _INCLUDE = re.compile(r'^#include "(tracker\w*\.h)"', re.MULTILINE)
@@ -53,9 +54,13 @@ def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
         A prefix that is not a C identifier; a camera or settings that the integers cannot hold.
     """
     check_prefix(prefix)
-    parts = flight_parts(design)
-    tests = test_data(design)
-    return assemble(design, parts, prefix, tests)
+    return assemble(design, flight_parts(design), prefix, "")
+
+
+def flight_parts(design: FlightDesign) -> list[Part]:
+    """What the stages of a design give."""
+    grid = grid_tables(design)
+    return [Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid))]
 
 
 def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: str) -> CExport:
