@@ -28,8 +28,7 @@ from startracker.flight.front_components import LONG, SATURATED, Objects, find_o
 from startracker.flight.front_fit import Fits, fit_stars, misfit_variance
 from startracker.flight.front_rows import Candidates, find_candidates, search_rows
 from startracker.flight.front_stamps import (
-    Trail,
-    frame_trail,
+    frame_image,
     measure_shapes,
     parts_of_trails,
     select_candidates,
@@ -86,11 +85,11 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
     found, objects = find_candidates(searched, tables), find_objects(searched, tables)
     shapes = measure_shapes(found, tables)
     good = select_candidates(found, objects)
-    trail = frame_trail(found, shapes, good, tables)
-    good &= shapes.valid & ~shapes.sharp & ~parts_of_trails(found, trail)
-    fits = fit_stars(found, shapes, trail, tables)
+    shared = frame_image(found, shapes, good, tables)
+    good &= shapes.valid & ~shapes.sharp & ~parts_of_trails(found, shared)
+    fits = fit_stars(found, shapes, shared, tables)
     fits = fits._replace(star=_alone(found, fits, good & fits.star))
-    stars = _listed(found, fits, trail, objects, tables)
+    stars = _listed(found, fits, shared.moved, objects, tables)
     full = int(np.count_nonzero(pixels >= tables.saturation))
     return FrontFrame(stars, full, int(pixels.min()), int(pixels.max()))
 
@@ -105,11 +104,11 @@ def _alone(found: Candidates, fits: Fits, star: BoolArray) -> BoolArray:
     return star
 
 
-def _listed(found: Candidates, fits: Fits, trail: Trail, objects: Objects, tables: FrontTables) -> StarList:
+def _listed(found: Candidates, fits: Fits, moved: bool, objects: Objects, tables: FrontTables) -> StarList:
     """List of the stars, the brightest first."""
     full = _saturated_stars(objects, tables)
     trails = _trailed_stars(objects, int(np.count_nonzero(fits.star)), tables)
-    flags = np.full(len(fits.x), 0 if trail == (0, 0) else ELONGATED)
+    flags = np.full(len(fits.x), ELONGATED if moved else 0)
     x, y = (found.x << 16) + fits.x, (found.y << 16) + fits.y
     points = StarList(x, y, fits.flux, misfit_variance(fits, tables), flags).take(fits.star)
     parts = (full, trails) if len(trails.x) else (full, points)

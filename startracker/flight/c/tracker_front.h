@@ -89,7 +89,10 @@ struct tracker_front_fit {
 struct tracker_front_measures {
     uint16_t order[TRACKER_FRONT_POOL];   /* candidates, the highest first */
     struct tracker_front_fit fit[TRACKER_FRONT_POOL];
-    int32_t trail_x, trail_y;             /* distance of the nodes of the star image, 16 fraction bits; 0, 0: round */
+    /* the image that all stars share: distance of its nodes (16 fraction bits; 0, 0: it is not moved), 1/sigma (12),
+     * half side of the window of a fit, mean variance with the pixel's (square pixels, 8) */
+    int32_t trail_x, trail_y, inverse_x, inverse_y, variance;
+    int half;
     int32_t data[TRACKER_FRONT_SIDE * TRACKER_FRONT_SIDE];
     int32_t image[3][TRACKER_FRONT_SIDE * TRACKER_FRONT_SIDE];
     int32_t middle[TRACKER_FRONT_OBJECTS];
