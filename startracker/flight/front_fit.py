@@ -126,8 +126,7 @@ def fit_stars(found: Candidates, shapes: Shapes, shared: StarImage, tables: Fron
     Each step solves for x and y with the flux marginalised, and for the flux alone: the solution of both is that of
     greatest likelihood.
     """
-    middle = np.abs(np.arange(-HALF, HALF + 1)) <= shared.half
-    window = inside_frame(found, tables) & middle & middle[:, None]
+    window = _window(found, shared.half, tables)
     data = np.where(window, (found.stamp << 4) - (found.level >> 4)[:, None, None], 0)
     noise, x, y = _noise_of(found, tables), shapes.x, shapes.y
     flux, used, longest = np.full(len(x), _LEAST_FLUX), window.sum(axis=(1, 2)), np.zeros(len(x), np.int64)
@@ -165,6 +164,18 @@ def fit_stars(found: Candidates, shapes: Shapes, shared: StarImage, tables: Fron
     chi2, alone = _misfits(data, left, weight, noise)
     good &= (alone + _HOT_ODDS >= chi2) & (variance <= shared.variance << 18)
     return Fits(x, y, flux, variance, chi2, used - 3, good)
+
+
+def _window(found: Candidates, half: int, tables: FrontTables) -> BoolArray:
+    """Pixels (N, 11, 11) of the fits; of saturated stars, whose windows are whole stamps, those below 0.9 of the
+    highest above the background, as each pixel has its own full well."""
+    away = np.abs(np.arange(-HALF, HALF + 1))
+    middle = (away <= half) & (away <= half)[:, None]
+    highest = found.stamp.max(axis=(1, 2), initial=0)
+    full = (highest >= tables.saturation)[:, None, None]
+    limit = found.level + 9 * ((highest << 8) - found.level) // 10
+    usable = np.where(full, found.stamp << 8 < limit[:, None, None], middle)
+    return np.asarray(inside_frame(found, tables) & usable)
 
 
 def _start_flux(image: IntArray, data: IntArray) -> IntArray:

@@ -85,8 +85,9 @@ def inside_frame(found: Candidates, tables: FrontTables) -> BoolArray:
     return np.asarray((rows >= 0) & (rows < tables.height) & (columns >= 0) & (columns < tables.width))
 
 
-def select_candidates(found: Candidates, objects: Objects) -> BoolArray:
-    """Candidates that are neither in the box of an object nor beside a higher one."""
+def select_candidates(found: Candidates, objects: Objects, full: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Candidates that are neither in the box of an object nor beside a higher one; and (N, K) of which saturated stars
+    (`full`) each is the image: those in whose boxes it is the highest."""
     dx, dy = found.x[:, None] - found.x, found.y[:, None] - found.y
     square = dx * dx + dy * dy
     higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
@@ -98,7 +99,9 @@ def select_candidates(found: Candidates, objects: Objects) -> BoolArray:
         & (y >= box[:, 2] - _MARGIN)
         & (y <= box[:, 3] + _MARGIN)
     )
-    return np.asarray(~(higher & beside).any(axis=1) & ~boxed.any(axis=1))
+    first = boxed & full & (np.cumsum(boxed, axis=0) == 1)
+    other = (boxed & ~first).any(axis=1)
+    return np.asarray(~(higher & beside).any(axis=1) & ~other), np.asarray(first & ~other[:, None])
 
 
 def measure_shapes(found: Candidates, tables: FrontTables) -> Shapes:

@@ -19,6 +19,7 @@ struct fitted {
     struct tracker_front_measures *measures;
     int first, last;               /* columns and rows of the window in the stamp */
     int64_t photon, flat, square;  /* of the noise */
+    int64_t ceiling;               /* pixels from here on are left out, DN of 8 fraction bits */
     int32_t used;                  /* pixels */
 };
 
@@ -43,6 +44,12 @@ static int64_t scaled(int64_t value, int bits)
 static int64_t limited(int64_t value, int64_t least, int64_t most)
 {
     return value < least ? least : value > most ? most : value;
+}
+
+static int is_used(const struct fitted *fitted, int column, int row)
+{
+    return tracker_front_inside(fitted->candidate, column, row)
+           && (int64_t)fitted->candidate->stamp[row * SIDE + column] * 256 < fitted->ceiling;
 }
 
 /* ------------------------------------------------------------------ the star image */
@@ -139,7 +146,7 @@ static void sum_pixels(const struct fitted *fitted, int32_t flux, struct normal 
         normal->score[k] = 0;
     for (j = fitted->first; j <= fitted->last; j++)
         for (i = fitted->first; i <= fitted->last; i++) {
-            if (!tracker_front_inside(fitted->candidate, i, j))
+            if (!is_used(fitted, i, j))
                 continue;
             k = j * SIDE + i;
             light = light_at(fitted, flux, k);
@@ -225,7 +232,7 @@ static int64_t misfits(const struct fitted *fitted, int32_t flux, int64_t *alone
 
     for (j = fitted->first; j <= fitted->last; j++)
         for (i = fitted->first; i <= fitted->last; i++) {
-            if (!tracker_front_inside(fitted->candidate, i, j))
+            if (!is_used(fitted, i, j))
                 continue;
             k = j * SIDE + i;
             light = light_at(fitted, flux, k);
@@ -241,7 +248,25 @@ static int64_t misfits(const struct fitted *fitted, int32_t flux, int64_t *alone
     return total / (8 * fitted->square);
 }
 
-/* Window, data and noise of a star, and its flux by unweighted least squares. */
+/* The window; of a saturated star the stamp without the pixels above 0.9 of its highest, as each has its own full well. */
+static void set_window(struct fitted *fitted)
+{
+    const struct tracker_front_candidate *c = fitted->candidate;
+    int half = fitted->measures->half, k;
+    uint16_t highest = 0;
+
+    for (k = 0; k < SIDE * SIDE; k++)
+        highest = c->stamp[k] > highest ? c->stamp[k] : highest;
+    fitted->ceiling = INT32_MAX;
+    if (highest >= TRACKER_FRONT_SATURATION) {
+        half = HALF;
+        fitted->ceiling = c->level + tracker_floor_quotient(9 * ((int64_t)highest * 256 - c->level), 10);
+    }
+    fitted->first = HALF - half;
+    fitted->last = HALF + half;
+}
+
+/* Data and noise of a star, and its flux by unweighted least squares. */
 static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
 {
     struct tracker_front_measures *m = fitted->measures;
@@ -249,8 +274,7 @@ static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
     int i, j, k;
     int64_t above = 0, below = 0;
 
-    fitted->first = HALF - m->half;
-    fitted->last = HALF + m->half;
+    set_window(fitted);
     fitted->square = (int64_t)c->noise * c->noise;
     fitted->photon = limited(TRACKER_FRONT_GAIN / fitted->square, 0, (int64_t)1 << 34);
     fitted->flat = ((int64_t)1 << 40) / fitted->square;
@@ -258,7 +282,7 @@ static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
     make_images(fitted, fit->x, fit->y);
     for (j = fitted->first; j <= fitted->last; j++)
         for (i = fitted->first; i <= fitted->last; i++) {
-            if (!tracker_front_inside(c, i, j))
+            if (!is_used(fitted, i, j))
                 continue;
             k = j * SIDE + i;
             m->data[k] = (int32_t)c->stamp[k] * 16 - (int32_t)tracker_shift_right(c->level, 4);

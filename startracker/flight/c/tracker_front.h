@@ -44,7 +44,7 @@ struct tracker_front_object {
     int32_t pixels, noise;
     uint16_t first_x, first_y;
     uint16_t left, right, top, bottom;
-    uint8_t kind;
+    uint8_t kind, star;            /* one of tracker_front_kind; whether it has a saturated star's size and shape */
 };
 
 /* A local maximum of the filtered frame, with its pixels; 0 beyond the frame. */
@@ -82,6 +82,7 @@ struct tracker_front_fit {
     int32_t flux;                  /* DN, 4 fraction bits */
     int64_t variance, misfit;      /* square pixels, 26 fraction bits; chi squared, 8 */
     int32_t freedom;
+    uint8_t full;                  /* it is the image of a saturated star */
     uint8_t good, valid, sharp;
 };
 

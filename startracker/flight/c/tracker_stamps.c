@@ -35,17 +35,30 @@ static void sort_candidates(struct tracker_front *front)
     }
 }
 
-static int is_boxed(const struct tracker_front *front, const struct tracker_front_candidate *c)
+int tracker_front_boxed(const struct tracker_front_candidate *c, const struct tracker_front_object *o)
 {
-    const struct tracker_front_object *o;
-    int n;
+    return c->x + MARGIN >= o->left && c->x <= o->right + MARGIN && c->y + MARGIN >= o->top && c->y <= o->bottom + MARGIN;
+}
 
-    for (n = 0; n < front->objects; n++) {
-        o = &front->object[n];
-        if (c->x + MARGIN >= o->left && c->x <= o->right + MARGIN && c->y + MARGIN >= o->top && c->y <= o->bottom + MARGIN)
-            return 1;
+/* Whether candidate n of the order is in no box, or the highest in those of saturated stars, whose image it then is. */
+static int is_free(const struct tracker_front *front, int n, uint8_t *full)
+{
+    const uint16_t *order = front->work.measures.order;
+    const struct tracker_front_object *object;
+    int k, m;
+
+    *full = 0;
+    for (k = 0; k < front->objects; k++) {
+        object = &front->object[k];
+        if (!tracker_front_boxed(&front->candidate[order[n]], object))
+            continue;
+        for (m = 0; m < n && !tracker_front_boxed(&front->candidate[order[m]], object); m++)
+            ;
+        if (!object->star || m < n)
+            return 0;
+        *full = 1;
     }
-    return 0;
+    return 1;
 }
 
 /* Whether candidate a, the lower one, belongs to b. */
@@ -269,7 +282,7 @@ void tracker_front_shapes(struct tracker_front *front)
         a = &front->candidate[measures->order[n]];
         fit = &measures->fit[n];
         measure_shape(a, fit);
-        fit->good = !is_boxed(front, a);
+        fit->good = (uint8_t)is_free(front, n, &fit->full);
         for (m = 0; m < n && fit->good; m++)
             fit->good = !is_beside(a, &front->candidate[measures->order[m]]);
     }
