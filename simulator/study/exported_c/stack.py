@@ -15,7 +15,8 @@ _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 def deepest_stack(graphs: Sequence[Path]) -> int:
     """Bytes of stack of the deepest chain of calls.
 
-    Functions outside these files, as the divisions of libgcc, count nothing.
+    Functions outside these files, as the divisions of libgcc, count nothing, nor do the 128 bytes below the stack
+    pointer that a last function may use on x86-64 (the red zone).
 
     Parameters
     ----------
