@@ -50,7 +50,7 @@ class Reason(IntEnum):
     POSE_FAILED = 7
     STEPS_USED_UP = 8
     ROWS_MISSING = 9
-    UNIFORM = 10
+    FRAME_UNIFORM = 10
     SATURATED_SHARE = 11
 
 

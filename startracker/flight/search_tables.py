@@ -241,7 +241,7 @@ def _densities() -> IntArray:
     core = (1.0 - WIDE_SHARE) / width * np.exp(-0.5 * (difference / width) ** 2)
     wide = WIDE_SHARE / WIDE_MAG * np.exp(-0.5 * (difference / WIDE_MAG) ** 2)
     density = (core + wide) / math.sqrt(2.0 * math.pi)
-    return np.floor(density * (1 << DENSITY_BITS)).astype(np.int64)
+    return np.asarray(np.floor(density * (1 << DENSITY_BITS)).astype(np.int64))
 
 
 def _log2_distracting(most: int) -> IntArray:
