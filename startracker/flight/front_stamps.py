@@ -1,0 +1,131 @@
+"""Integer reference of the front end's stamps: which candidates count, and the image that the stars share.
+
+See `front_end`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from startracker.arrays import BoolArray, IntArray
+from startracker.flight.front_background import square_root
+from startracker.flight.front_components import Objects, major_variance
+from startracker.flight.front_rows import Candidates
+from startracker.flight.front_tables import HALF, SHAPE_VARIANCE_PX2, FrontTables
+
+_RECENTRINGS = 3
+_FARTHEST = 40
+"""From the middle of a stamp, 1/16 px."""
+_NEAREST, _HALO, _HALO_RATIO = 4, 64, 20
+"""Squared distances, px²: nearer than the one there is one star, nearer than the other a halo is 20 times fainter."""
+_MARGIN = 3
+"""Of boxes, px."""
+_SHAPE_STARS, _FEWEST = 15, 3
+_WIDE = round(256 * SHAPE_VARIANCE_PX2)
+_WIDEST = _WIDE * 29 // 32
+_TRAILED = 38
+"""Difference of the principal variances, 8 fraction bits, from which an image is a trail: one of 1.3 px."""
+_ERROR = 1774
+"""Standard error of a variance, 8 fraction bits, for a noise over signal of 1: √(π w s), w = 3, s = 5.1 px⁴."""
+
+
+class Shapes(NamedTuple):
+    """Weighted moments of stamps."""
+
+    x: IntArray
+    y: IntArray
+    """First moments from the middle pixel, 16 fraction bits."""
+    xx: IntArray
+    yy: IntArray
+    xy: IntArray
+    """Second moments under the weight, 8 fraction bits."""
+    valid: BoolArray
+    sharp: BoolArray
+    """Whether narrower than any star."""
+
+
+class Trail(NamedTuple):
+    """Motion of the stars' images: four nodes apart by (x, y), 16 fraction bits; (0, 0): none."""
+
+    x: int
+    y: int
+
+
+def inside_frame(found: Candidates, tables: FrontTables) -> BoolArray:
+    """Which pixels of the stamps (N, 11, 11) are on the frame."""
+    away = np.arange(-HALF, HALF + 1)
+    rows, columns = found.y[:, None, None] + away[:, None], found.x[:, None, None] + away
+    return np.asarray((rows >= 0) & (rows < tables.height) & (columns >= 0) & (columns < tables.width))
+
+
+def select_candidates(found: Candidates, objects: Objects) -> BoolArray:
+    """Candidates that are neither in the box of an object nor beside a higher one."""
+    dx, dy = found.x[:, None] - found.x, found.y[:, None] - found.y
+    square = dx * dx + dy * dy
+    higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
+    beside = (square <= _NEAREST) | ((square <= _HALO) & (_HALO_RATIO * found.height[:, None] < found.height))
+    x, y, box = found.x[:, None], found.y[:, None], objects.box
+    boxed = (
+        (x >= box[:, 0] - _MARGIN)
+        & (x <= box[:, 1] + _MARGIN)
+        & (y >= box[:, 2] - _MARGIN)
+        & (y <= box[:, 3] + _MARGIN)
+    )
+    return np.asarray(~(higher & beside).any(axis=1) & ~boxed.any(axis=1))
+
+
+def measure_shapes(found: Candidates, tables: FrontTables) -> Shapes:
+    """Moments of stamps under a Gaussian weight that follows them."""
+    signal = np.where(inside_frame(found, tables), (found.stamp << 8) - found.level[:, None, None], 0)
+    away = 16 * np.arange(-HALF, HALF + 1)
+    centre = np.zeros((2, len(found.x)), np.int64)
+    for attempt in range(_RECENTRINGS):
+        u, v = away - centre[0][:, None], away - centre[1][:, None]
+        last = len(tables.shape_weight) - 1
+        along = tables.shape_weight[np.minimum(np.abs(u), last)]
+        weight = (along[:, None, :] * tables.shape_weight[np.minimum(np.abs(v), last)][:, :, None]) >> 12
+        light = weight * signal
+        total = light.sum(axis=(1, 2))
+        s = np.maximum(total, 1)
+        column, row = light.sum(axis=1), light.sum(axis=2)
+        mean = np.array([(column * u).sum(axis=1) * 16 // s, (row * v).sum(axis=1) * 16 // s])
+        if attempt < _RECENTRINGS - 1:
+            moved = np.clip(centre + ((mean + 8) >> 4), -_FARTHEST, _FARTHEST)
+            centre = np.where(total > 0, moved, centre)
+    xx = (column * u * u).sum(axis=1) // s - ((mean[0] * mean[0]) >> 8)
+    yy = (row * v * v).sum(axis=1) // s - ((mean[1] * mean[1]) >> 8)
+    xy = (light * u[:, None, :] * v[:, :, None]).sum(axis=(1, 2)) // s - ((mean[0] * mean[1]) >> 8)
+    x, y = np.clip((centre << 12) + (mean << 8), -_FARTHEST << 12, _FARTHEST << 12)
+    error = found.noise * _ERROR // np.maximum(total >> 12, 1)
+    sharp = major_variance(xx, yy, xy)[1] + 2 * error < tables.seen_sharp
+    return Shapes(x, y, xx, yy, xy, total > 0, sharp)
+
+
+def frame_trail(found: Candidates, shapes: Shapes, good: BoolArray, tables: FrontTables) -> Trail:
+    """The motion that the highest candidates share: by the medians of their second moments."""
+    whole = inside_frame(found, tables).all(axis=(1, 2)) & (found.stamp.max(axis=(1, 2), initial=0) < tables.saturation)
+    used = np.flatnonzero(good & whole & shapes.valid & ~shapes.sharp)[:_SHAPE_STARS]
+    if len(used) < _FEWEST:
+        return Trail(0, 0)
+    xx, yy, xy = (int(np.sort(column[used])[len(used) // 2]) for column in (shapes.xx, shapes.yy, shapes.xy))
+    seen = [int(value) for value in major_variance(np.int64(xx), np.int64(yy), np.int64(xy))]
+    major, minor = (value * _WIDE // (_WIDE - value) for value in (min(max(value, 0), _WIDEST) for value in seen))
+    apart = major - minor
+    if apart <= _TRAILED:
+        return Trail(0, 0)
+    turned = apart * (xx - yy) // (seen[0] - seen[1])
+    along = int(square_root(np.int64(max(2 * (apart + turned), 0) // 5 << 24)))
+    across = int(square_root(np.int64(max(2 * (apart - turned), 0) // 5 << 24)))
+    return Trail(along, across if xy >= 0 else -across)
+
+
+def parts_of_trails(found: Candidates, trail: Trail) -> BoolArray:
+    """Candidates that lie on the trail of a higher one."""
+    tx, ty = trail.x >> 8, trail.y >> 8
+    dx, dy = found.x[:, None] - found.x, found.y[:, None] - found.y
+    along, across, square = dx * tx + dy * ty, dx * ty - dy * tx, tx * tx + ty * ty
+    higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
+    on_trail = (across * across <= 4 * square << 0) & (np.abs(along) << 8 <= 4 * square)
+    return np.asarray((higher & on_trail).any(axis=1) & (square > 0))
