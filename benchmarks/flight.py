@@ -51,9 +51,12 @@ LIMITS = {"fixed": 1.1, "float": 1.05}
 """Largest ratio of the errors."""
 ALLOWED = 0.01
 """Largest share of what `StarTracker` identifies and the C does not."""
+_DEFAULTS = ("tracker.detector=components", "tracker.centroider=least_squares", "tracker.identifier=adaptive")
+_DEFAULTS += ("tracker.identification={}", "tracker.centroid={}")
+"""The methods of the flight build, in place of those of the thesis."""
 FRAMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cubesat": ("cubesat.yaml", ()),
-    "TC211": ("tc211.yaml", ()),
+    "TC211": ("tc211.yaml", _DEFAULTS),
     "smeared": ("cubesat_ideal.yaml", ("pointing.rate_deg_s=[0.2, 0, 0.2]",)),
     "hot pixels": ("gallery/hot_pixels.yaml", ()),
     MOON: ("cubesat_ideal.yaml", ()),
@@ -139,9 +142,9 @@ def compare_frames(name: str, arithmetics: list[str], count: int, keep: Path | N
     with tempfile.TemporaryDirectory() as folder:
         programs = {}
         for arithmetic in arithmetics:
-            place = Path(folder) / arithmetic
-            place.mkdir()
-            programs[arithmetic] = FlightProgram(flight_design(scenario_of(name), arithmetic), place)
+            into = Path(folder) / arithmetic
+            into.mkdir()
+            programs[arithmetic] = FlightProgram(flight_design(scenario_of(name), arithmetic), into)
         python: list[Outcome] = []
         compiled: dict[str, list[Outcome]] = {arithmetic: [] for arithmetic in arithmetics}
         for given in rendered(name, count, keep):
