@@ -35,7 +35,7 @@ from startracker.flight.pose_fit import GRID, Fit, FitPriors, Stars, fit, fit_pr
 from startracker.flight.real import ONE, Real
 from startracker.flight.stars import StarList
 
-POSE_MODULES = ("integers", "arithmetic", "directions", "pose_fit", "pose")
+POSE_MODULES = ("integers", "arithmetic", "linear", "directions", "pose_fit", "pose")
 COVARIANCE_BITS = 60
 """Fraction bits of the covariance, square radians."""
 _MATCH_ROUNDS, _FIT_ROUNDS = 6, 4
