@@ -35,7 +35,7 @@ from startracker.flight.pose_fit import GRID, Fit, FitPriors, Stars, fit, fit_pr
 from startracker.flight.real import ONE, Real
 from startracker.flight.stars import StarList
 
-POSE_MODULES = ("integers", "arithmetic", "directions", "pose_fit", "pose")
+POSE_MODULES = ("integers", "arithmetic", "linear", "directions", "pose_fit", "pose")
 COVARIANCE_BITS = 60
 """Fraction bits of the covariance, square radians."""
 _MATCH_ROUNDS, _FIT_ROUNDS = 6, 4
@@ -147,8 +147,15 @@ def pose_constants(t: PoseTables) -> dict[str, int]:
         "POSE_FLOOR": t.floor,
         "POSE_UNKNOWN": t.unknown,
         "POSE_MARGIN": t.margin,
+        "POSE_LEAST_COSINE": _least_cosine(t),
         "POSE_MAX_FIELD": t.most_field,
     }
+
+
+def _least_cosine(t: PoseTables) -> int:
+    """Cosine, 2.30, of the angle from the boresight within which the image and its border are."""
+    u, v = (t.grid.half + t.margin).tolist()
+    return math.floor(t.grid.focal / math.hypot(t.grid.focal, u, v) * (1 << 30)) - (1 << 10)
 
 
 def pose_arrays(t: PoseTables) -> list[CTable]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from startracker.estimation.pose import FOCAL_SIGMA, FREE_FOCAL_SIGMA, SHEAR_SIGMA, SYSTEMATIC, TRUSTED
 from startracker.fixed_point.formats import Integers
+from startracker.flight.linear import factorised, solved
 from startracker.flight.real import ONE, ZERO, Real, log2, power_of_2
 
 UNKNOWNS = 6
@@ -29,7 +30,6 @@ _WEIGHT_BITS = 20
 _SIZES = (3, 4, 6)
 _SYSTEMATIC_SHARE = 41943  # 0.04, the square of the first τ, of 20 fraction bits
 _LONGEST = 1 << 42
-_LEAST_PIVOT = Real(1, -20)
 _LEAST_CHI2 = Real(1, -40)
 _NEGLIGIBLE = 60 << PRIOR_BITS
 
@@ -221,42 +221,6 @@ class _Average:
         # a shear is also half a rotation, which residuals do not show
         covariance[2][2] = covariance[2][2] + self.shear2 * share
         return Fit(mean, covariance, self.factor * share, self.systematic * share)
-
-
-def factorised(a: list[list[Real]]) -> Real | None:
-    """Factorise a symmetric matrix (n, n) in place, A = L D Lᵀ with the inverses of D on the diagonal and L below;
-    returns log₂ of the determinant, None if the matrix is not positive definite to 2⁻²⁰."""
-    log_det = ZERO
-    for k in range(len(a)):
-        least = a[k][k] * _LEAST_PIVOT
-        row = [ZERO] * k
-        pivot = a[k][k]
-        for j in range(k):
-            value = a[k][j]
-            for i in range(j):
-                value = value - row[i] * a[j][i]
-            row[j] = value
-        for j in range(k):
-            a[k][j] = row[j] * a[j][j]
-            pivot = pivot - row[j] * a[k][j]
-        if not pivot > least:
-            return None
-        log_det = log_det + log2(pivot)
-        a[k][k] = ONE / pivot
-    return log_det
-
-
-def solved(a: list[list[Real]], right: list[Real]) -> list[Real]:
-    """Solution (n,) of a system with a factorised matrix (n, n)."""
-    x = list(right)
-    for k in range(len(x)):
-        for j in range(k):
-            x[k] = x[k] - a[k][j] * x[j]
-    for k in range(len(x) - 1, -1, -1):
-        x[k] = x[k] * a[k][k]
-        for j in range(k + 1, len(x)):
-            x[k] = x[k] - a[j][k] * x[j]
-    return x
 
 
 def median(values: list[int]) -> int:

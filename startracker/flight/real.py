@@ -91,6 +91,7 @@ class Real:
 
 ZERO, ONE = Real(0), Real(1)
 _ROOT_OF_2, _TWICE_LOG2_E = Real(1518500250, -30), Real(1549082005, -29)
+_RECIPROCAL = [ZERO] + [Real((1 << 40) // k, -40) for k in range(1, 10)]
 _LN_2, _QUARTER_TURN = Real(1488522236, -31), Real(1686629713, -30)
 
 
@@ -108,7 +109,7 @@ def power_of_2(x: Real) -> Real:
     whole = x.integer(0)
     term, total = (x - Real(whole)) * _LN_2, ONE
     for k in range(8, 0, -1):
-        total = ONE + term * total / Real(k)
+        total = ONE + term * total * _RECIPROCAL[k]
     return total.scaled(whole)
 
 
@@ -126,5 +127,5 @@ def _odd_series(x: Real, terms: int, sign: int) -> Real:
     square, total = x * x, ZERO
     for k in range(terms - 1, -1, -1):
         total = square * total
-        total = ONE / Real(2 * k + 1) + (-total if sign < 0 else total)
+        total = _RECIPROCAL[2 * k + 1] + (-total if sign < 0 else total)
     return x * total

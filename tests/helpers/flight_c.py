@@ -31,7 +31,8 @@ def library(
 ) -> ctypes.CDLL:
     """Modules compiled with the tables and the text of one more source, strictly, in a folder."""
     tables = "#ifndef TRACKER_TABLES_H\n#define TRACKER_TABLES_H\n#include <stdint.h>\n"
-    tables += "".join(f"#define TRACKER_{name} {value}\n" for name, value in (constants or {}).items())
+    macros = {**(constants or {}), **({"FLOAT": 1} if arithmetic == "float" else {})}
+    tables += "".join(f"#define TRACKER_{name} {value}\n" for name, value in macros.items())
     tables += "".join(f"extern {array.declaration};\n" for array in arrays or []) + "#endif\n"
     (folder / "tracker_tables.h").write_text(tables)
     body = "".join("\n".join(array.definition()) + "\n" for array in arrays or [])
@@ -41,7 +42,7 @@ def library(
     paths = [next(root / f"tracker_{m}.c" for root in roots if (root / f"tracker_{m}.c").exists()) for m in modules]
     out = folder / f"{arithmetic}-{compiler}-{len(extra)}.so"
     command = [compiler, *STRICT, *extra, "-fPIC", "-shared", "-o", str(out), f"-I{folder}"]
-    command += [f"-I{root}" for root in roots] + (["-DTRACKER_FLOAT"] if arithmetic == "float" else [])
+    command += [f"-I{root}" for root in roots]
     done = subprocess.run(
         [*command, *map(str, paths), str(folder / "tables.c"), str(folder / "more.c")],
         capture_output=True,

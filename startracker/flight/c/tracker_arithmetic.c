@@ -77,28 +77,54 @@ tracker_real tracker_real_root(tracker_real x)
 
 #else
 
+/* Number of bits of n. */
+static int length_of(uint32_t n)
+{
+    int bits = 0;
+
+    if (n >= (uint32_t)1 << 16) {
+        n >>= 16;
+        bits += 16;
+    }
+    if (n >= (uint32_t)1 << 8) {
+        n >>= 8;
+        bits += 8;
+    }
+    if (n >= (uint32_t)1 << 4) {
+        n >>= 4;
+        bits += 4;
+    }
+    if (n >= (uint32_t)1 << 2) {
+        n >>= 2;
+        bits += 2;
+    }
+    return n > 1 ? bits + 2 : bits + (int)n;
+}
+
+static tracker_real made(uint32_t m, int negative, int exponent)
+{
+    tracker_real out;
+
+    out.m = negative ? -(int32_t)m : (int32_t)m;
+    out.e = exponent;
+    return out;
+}
+
 /* value 2^exponent, truncated to 31 bits. */
 static tracker_real normal(int64_t value, int exponent)
 {
-    int64_t u = tracker_magnitude(value);
-    tracker_real out = {0, 0};
-    int step;
+    const uint64_t u = (uint64_t)tracker_magnitude(value);
+    const uint32_t high = (uint32_t)(u >> BITS);
+    int shift;
 
     if (u == 0)
-        return out;
-    for (step = 32; step > 0; step /= 2) {
-        if (step < 32 && u < (int64_t)1 << (BITS - step)) {
-            u *= (int64_t)1 << step;
-            exponent -= step;
-        }
-        if (u >= (int64_t)1 << (BITS - 1 + step)) {
-            u >>= step;
-            exponent += step;
-        }
+        return made(0, 0, 0);
+    if (high > 0) {
+        shift = length_of(high);
+        return made((uint32_t)(u >> shift), value < 0, exponent + shift);
     }
-    out.m = (int32_t)(value < 0 ? -u : u);
-    out.e = exponent;
-    return out;
+    shift = BITS - length_of((uint32_t)u);
+    return made((uint32_t)u << shift, value < 0, exponent - shift);
 }
 
 tracker_real tracker_real_of(int64_t n, int exponent)
@@ -150,7 +176,13 @@ tracker_real tracker_minus(tracker_real a)
 
 tracker_real tracker_times(tracker_real a, tracker_real b)
 {
-    return normal((int64_t)a.m * b.m, a.e + b.e);
+    const uint32_t x = (uint32_t)(a.m < 0 ? -a.m : a.m), y = (uint32_t)(b.m < 0 ? -b.m : b.m);
+    const uint64_t product = (uint64_t)x * y;
+    const int shift = product >> (2 * BITS - 1) ? BITS : BITS - 1;
+
+    if (product == 0)
+        return made(0, 0, 0);
+    return made((uint32_t)(product >> shift), (a.m < 0) != (b.m < 0), a.e + b.e + shift);
 }
 
 tracker_real tracker_over(tracker_real a, tracker_real b)
@@ -192,6 +224,23 @@ static tracker_real scaled(tracker_real x, int exponent)
 
 #endif
 
+/* 1 / k of 40 fraction bits, truncated, for 0 < k < 10. */
+static tracker_real reciprocal(int k)
+{
+    static const int64_t of[10] = {0,
+                                   1099511627776,
+                                   549755813888,
+                                   366503875925,
+                                   274877906944,
+                                   219902325555,
+                                   183251937962,
+                                   157073089682,
+                                   137438953472,
+                                   122167958641};
+
+    return tracker_real_of(of[k], -40);
+}
+
 /* sum of x^(2k + 1) / (2k + 1), with alternating signs if `sign` is -1. */
 static tracker_real odd_series(tracker_real x, int terms, int sign)
 {
@@ -200,9 +249,8 @@ static tracker_real odd_series(tracker_real x, int terms, int sign)
     int k;
 
     for (k = terms - 1; k >= 0; k--) {
-        const tracker_real one = tracker_over(tracker_real_of(1, 0), tracker_real_of(2 * k + 1, 0));
         sum = tracker_times(square, sum);
-        sum = tracker_add(one, sign < 0 ? tracker_minus(sum) : sum);
+        sum = tracker_add(reciprocal(2 * k + 1), sign < 0 ? tracker_minus(sum) : sum);
     }
     return tracker_times(x, sum);
 }
@@ -228,10 +276,8 @@ tracker_real tracker_power_of_2(tracker_real x)
     tracker_real sum = tracker_real_of(1, 0);
     int k;
 
-    for (k = 8; k > 0; k--) {
-        const tracker_real part = tracker_over(tracker_times(term, sum), tracker_real_of(k, 0));
-        sum = tracker_add(tracker_real_of(1, 0), part);
-    }
+    for (k = 8; k > 0; k--)
+        sum = tracker_add(tracker_real_of(1, 0), tracker_times(tracker_times(term, sum), reciprocal(k)));
     return scaled(sum, whole);
 }
 

@@ -10,6 +10,7 @@
 #define TRACKER_ARITHMETIC_H
 
 #include "tracker_integers.h"
+#include "tracker_tables.h"
 
 #ifdef TRACKER_FLOAT
 typedef float tracker_real;

@@ -96,15 +96,19 @@ static void take_stars(struct tracker_pose *pose, const struct tracker_star *sta
 
 static void find_field(struct tracker_pose *pose, const struct tracker_matrix *attitude, const struct tracker_vector *velocity)
 {
+    const int64_t axis[3] = {attitude->row[2].x, attitude->row[2].y, attitude->row[2].z};
     struct tracker_vector direction;
     int32_t plane[2];
     int guide;
 
     pose->in_field = 0;
     for (guide = 0; guide < TRACKER_POSE_GUIDES && pose->in_field < TRACKER_POSE_MAX_FIELD; guide++) {
-        direction.x = tracker_guide_direction[guide][0];
-        direction.y = tracker_guide_direction[guide][1];
-        direction.z = tracker_guide_direction[guide][2];
+        const int32_t *at = tracker_guide_direction[guide];
+        if (axis[0] * at[0] + axis[1] * at[1] + axis[2] * at[2] < TRACKER_POSE_LEAST_COSINE * ((int64_t)1 << 30))
+            continue;
+        direction.x = at[0];
+        direction.y = at[1];
+        direction.z = at[2];
         if (!tracker_project(attitude, &direction, plane)
             || tracker_magnitude(plane[0]) > (int64_t)TRACKER_GRID_HALF_U + TRACKER_POSE_MARGIN
             || tracker_magnitude(plane[1]) > (int64_t)TRACKER_GRID_HALF_V + TRACKER_POSE_MARGIN)

@@ -2,7 +2,7 @@
 #ifndef TRACKER_POSE_FIT_H
 #define TRACKER_POSE_FIT_H
 
-#include "tracker_arithmetic.h"
+#include "tracker_linear.h"
 
 #define TRACKER_POSE_UNKNOWNS 6
 
@@ -23,13 +23,5 @@ struct tracker_pose_fit {
 
 /* plain: only the camera as calibrated, without systematic errors. 0: the stars determine no attitude. */
 int tracker_fit_pose(const struct tracker_pose_star *star, int count, int plain, struct tracker_pose_fit *fit);
-
-/* Factorises a symmetric matrix of `size` rows in place, A = L D L' with the inverses of D on the diagonal and L below it;
- * 0: not positive definite to 2^-20. log2 of the determinant. */
-int tracker_factorise(tracker_real a[TRACKER_POSE_UNKNOWNS][TRACKER_POSE_UNKNOWNS], int size, tracker_real *log_det);
-
-/* Solves a system with a factorised matrix; x holds the right-hand side and then the solution. */
-void tracker_solve_factorised(tracker_real a[TRACKER_POSE_UNKNOWNS][TRACKER_POSE_UNKNOWNS], int size,
-                              tracker_real x[TRACKER_POSE_UNKNOWNS]);
 
 #endif
