@@ -25,7 +25,7 @@ from startracker.arrays import BoolArray, IntArray
 from startracker.errors import InputError
 from startracker.flight.front_background import square_root
 from startracker.flight.front_components import LONG, Objects, at_border, find_objects, saturated_stars
-from startracker.flight.front_fit import Fits, fit_stars, misfit_variance
+from startracker.flight.front_fit import Fits, fit_beside, fit_stars, misfit_variance
 from startracker.flight.front_rows import Candidates, find_candidates, search_rows
 from startracker.flight.front_stamps import (
     frame_image,
@@ -41,6 +41,11 @@ __all__ = ["FrontFrame", "FrontTables", "front_arrays", "front_constants", "fron
 
 _APART = 2 << 16
 """Fits nearer than this along both axes are of one star."""
+_NEAR_PEAK = 3 << 14
+"""From its highest pixel the image of a star is no farther along an axis, 3/4 px; its first moment may be, beside
+another star."""
+_ROUNDS = 3
+"""Of fits with the neighbours' light taken off."""
 _FLAT_TOP = 167772
 """0.05² px², as of `startracker.centroid.window`, 26 fraction bits."""
 _TRAIL_ENDS = 671089
@@ -88,8 +93,12 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
     good, owned = select_candidates(found, objects, full)
     shared = frame_image(found, shapes, good, tables)
     good &= shapes.valid & ~shapes.sharp & ~parts_of_trails(found, shared)
-    fits = fit_stars(found, shapes, shared, tables)
+    near = np.where(owned.any(axis=1) | shared.moved, 1 << 30, _NEAR_PEAK)
+    start = np.clip(shapes.x, -near, near), np.clip(shapes.y, -near, near)
+    fits = fit_stars(found, start, np.zeros_like(found.stamp), shared, tables)
     fits = fits._replace(star=_alone(found, fits, good & fits.star))
+    for _ in range(_ROUNDS):
+        fits = fit_beside(found, fits, shared, tables)
     full &= ~owned[fits.star].any(axis=0)
     flags = np.where(owned.any(axis=1), SATURATED_STAR, 0) + (ELONGATED if shared.moved else 0)
     x, y = (found.x << 16) + fits.x, (found.y << 16) + fits.y
