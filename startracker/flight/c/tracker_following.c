@@ -1,6 +1,7 @@
 /* Tracking: the same operations in the same order as startracker/flight/following.py, which explains them. */
 #include "tracker_following.h"
 
+#include "tracker_attitude_filter.h"
 #include "tracker_directions.h"
 
 #define ONE ((int64_t)1 << 30)

@@ -2,8 +2,12 @@
 #ifndef TRACKER_FOLLOWING_H
 #define TRACKER_FOLLOWING_H
 
-#include "tracker_attitude_filter.h"
+#include "tracker_arithmetic.h"
 #include "tracker_types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 enum tracker_time {
     TRACKER_TIME_GOOD,
@@ -52,5 +56,9 @@ enum tracker_following_result tracker_following_update(struct tracker_following 
 /* Attitude and covariance of the filter at the time of the last prediction; 0: there is none. */
 int tracker_following_attitude(const struct tracker_following *following, struct tracker_matrix *attitude,
                                int64_t covariance[3][3]);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif
