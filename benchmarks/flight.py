@@ -26,7 +26,7 @@ from benchmarks.frames import CASES as FRAME_CASES
 from benchmarks.frames import Bench
 from benchmarks.oracle import rotation_error
 from benchmarks.report import OK, SHORT, Table, provenance, show, write_markdown
-from benchmarks.scenes import Case, SceneMaker
+from benchmarks.scenes import Case, Scene, SceneMaker
 from benchmarks.score import IDENTIFIED, WRONG, WRONG_CROSS_PX, WRONG_ROLL_DEG
 from simulator.frame import Frame, FrameTruth
 from simulator.randomness import stream
@@ -51,9 +51,12 @@ LIMITS = {"fixed": 1.1, "float": 1.05}
 """Largest ratio of the errors."""
 ALLOWED = 0.01
 """Largest share of what `StarTracker` identifies and the C does not."""
+_DEFAULTS = ("tracker.detector=components", "tracker.centroider=least_squares", "tracker.identifier=adaptive")
+_DEFAULTS += ("tracker.identification={}", "tracker.centroid={}")
+"""The methods of the flight build, in place of those of the thesis."""
 FRAMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cubesat": ("cubesat.yaml", ()),
-    "TC211": ("tc211.yaml", ()),
+    "TC211": ("tc211.yaml", _DEFAULTS),
     "smeared": ("cubesat_ideal.yaml", ("pointing.rate_deg_s=[0.2, 0, 0.2]",)),
     "hot pixels": ("gallery/hot_pixels.yaml", ()),
     MOON: ("cubesat_ideal.yaml", ()),
@@ -139,9 +142,9 @@ def compare_frames(name: str, arithmetics: list[str], count: int, keep: Path | N
     with tempfile.TemporaryDirectory() as folder:
         programs = {}
         for arithmetic in arithmetics:
-            place = Path(folder) / arithmetic
-            place.mkdir()
-            programs[arithmetic] = FlightProgram(flight_design(scenario_of(name), arithmetic), place)
+            into = Path(folder) / arithmetic
+            into.mkdir()
+            programs[arithmetic] = FlightProgram(flight_design(scenario_of(name), arithmetic), into)
         python: list[Outcome] = []
         compiled: dict[str, list[Outcome]] = {arithmetic: [] for arithmetic in arithmetics}
         for given in rendered(name, count, keep):
@@ -172,6 +175,13 @@ def list_design(case: Case, arithmetic: str) -> tuple[FlightDesign, StarTracker]
     return design, tracker
 
 
+def scene_text(scene: Scene, most: int) -> str:
+    """A scene as the program reads it: the `most` brightest stars, of unknown errors."""
+    xy, flux = scene.xy[:most], LIST_FLUX_DN * scene.flux[:most]
+    stars = StarList.of(xy, flux, np.ones(len(xy)))
+    return list_text(stars._replace(variance=np.zeros(len(xy), dtype=np.int64)))
+
+
 def compare_lists(name: str, arithmetics: list[str], count: int) -> list[list[str]]:
     """A row for each arithmetic."""
     case = LIST_CASES[name]
@@ -186,11 +196,7 @@ def compare_lists(name: str, arithmetics: list[str], count: int) -> list[list[st
                 solution = tracker.solve_centroids(scene.xy, scene.flux)
                 matrix = None if solution.attitude is None else solution.attitude.as_matrix()
                 python.append(outcome_of(str(solution.status), scene.matrix, matrix, pixel, case.sky))
-        most = design.detection.max_stars
-        texts = [
-            list_text(StarList.of(one.xy[:most], LIST_FLUX_DN * one.flux[:most], np.zeros(len(one.xy[:most]))))
-            for one in scenes
-        ]
+        texts = [scene_text(scene, design.detection.max_stars) for scene in scenes]
         with tempfile.TemporaryDirectory() as folder:
             answers = FlightProgram(design, Path(folder)).lists(texts)
         found = [None if answer.attitude is None else answer.attitude.as_matrix() for answer in answers]

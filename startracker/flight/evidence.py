@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
@@ -51,7 +51,7 @@ class Sight(NamedTuple):
 
     Parameters
     ----------
-    index : (N,)
+    listed : (N,)
         Number of each in the list.
     direction : (N, 3)
         Camera axes, 2.30.
@@ -65,7 +65,7 @@ class Sight(NamedTuple):
         log₂ of the crowding at each star, by width; the last row is that of the mean over the widths.
     """
 
-    index: IntArray
+    listed: IntArray
     direction: IntArray
     variance: IntArray
     magnitude: IntArray
@@ -73,7 +73,7 @@ class Sight(NamedTuple):
     excess: IntArray
 
     def __len__(self) -> int:
-        return len(self.index)
+        return len(self.listed)
 
 
 def sight(stars: StarList, direction: IntArray, seen: NDArray[np.bool_], t: SearchTables) -> Sight:
@@ -101,7 +101,7 @@ def sight(stars: StarList, direction: IntArray, seen: NDArray[np.bool_], t: Sear
     return Sight(usable, vectors, variance, magnitude, brightness, crowding(vectors, t))
 
 
-def log_down(n: IntArray, t: SearchTables) -> IntArray:
+def log_down(n: ArrayLike, t: SearchTables) -> IntArray:
     """log₂ of n ≥ 1, rounded down."""
     n = np.asarray(n, dtype=np.int64)
     large = n >= 1 << 40  # beyond 2⁵³ a double is not exact
@@ -110,14 +110,14 @@ def log_down(n: IntArray, t: SearchTables) -> IntArray:
     return np.asarray((bits << LOG_BITS) + t.log_table[top - 256])
 
 
-def log_sum(a: IntArray, b: IntArray, t: SearchTables) -> IntArray:
+def log_sum(a: ArrayLike, b: ArrayLike, t: SearchTables) -> IntArray:
     """log₂(2ᵃ + 2ᵇ), rounded down."""
     high = np.maximum(a, b)
     k = (high - np.minimum(a, b)) >> _SUM_STEP
     return np.asarray(high + np.where(k < len(t.sum_table), t.sum_table[np.minimum(k, len(t.sum_table) - 1)], 0))
 
 
-def log_sum_up(a: IntArray, b: IntArray, t: SearchTables) -> IntArray:
+def log_sum_up(a: ArrayLike, b: ArrayLike, t: SearchTables) -> IntArray:
     """log₂(2ᵃ + 2ᵇ), rounded up."""
     high, last = np.maximum(a, b), len(t.sum_table) - 1
     k = (high - np.minimum(a, b)) >> _SUM_STEP

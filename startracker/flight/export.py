@@ -21,6 +21,8 @@ from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header
 from startracker.fixed_point.export_c import CExport
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants, grid_tables
+from startracker.flight.search_export import SEARCH_MODULES, search_arrays, search_constants
+from startracker.flight.search_tables import search_tables
 
 _FOLDERS = ("startracker.flight", "startracker.fixed_point")
 _INCLUDE = re.compile(r'^#include "(tracker\w*\.h)"', re.MULTILINE)
@@ -59,8 +61,11 @@ def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
 
 def flight_parts(design: FlightDesign) -> list[Part]:
     """What the stages of a design give."""
-    grid = grid_tables(design)
-    return [Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid))]
+    grid, search = grid_tables(design), search_tables(design)
+    return [
+        Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),
+        Part(SEARCH_MODULES, search_constants(search), search_arrays(search)),
+    ]
 
 
 def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: str) -> CExport:
@@ -70,8 +75,9 @@ def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: st
     sources = {f"tracker_{module}.c": _source(f"tracker_{module}.c") for module in modules}
     headers = _headers(sources.values())
     version = _version(design, constants, arrays)
-    declared = ["extern const char tracker_version[]; /* what these tables were made from, and their digest */"]
-    defined = [f'const char tracker_version[] = "{version}";', ""]
+    named = f"const char tracker_version[{len(version) + 1}]"
+    declared = [f"extern {named}; /* what these tables were made from, and their digest */"]
+    defined = [f'{named} = "{version}";', ""]
     tables = {
         "tracker_tables.h": tables_header(constants, arrays, declared),
         "tracker_tables.c": tables_source(arrays, defined),

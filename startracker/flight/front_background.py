@@ -1,4 +1,4 @@
-"""Integer reference of the front end's background: level and noise of tiles, followed along the frame. See `front_end`."""
+"""Integer reference of the front end's background: tiles, followed along the frame. See `front_end`."""
 
 from __future__ import annotations
 
@@ -74,6 +74,8 @@ def _tile_statistics(image: NDArray[np.uint16], tables: FrontTables, tile: int) 
     half = np.maximum(192 * (upper - middle), 3 * LEAST_NOISE) + 32
     mean, noise = _clipped(apart, half)
     mean, noise = _clipped(apart, 3 * noise + 32)
+    cut = (values[:, 0] == 0) & (2 * middle <= upper - middle)  # noise below zero is missing: its tail is longer
+    noise = np.where(cut, np.maximum(noise, (upper - middle + 1) << 6), noise)
     return (middle << 8) + mean, noise
 
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 from startracker.arrays import IntArray
 from startracker.flight.front_background import at_columns, square_root
 from startracker.flight.front_rows import Searched
-from startracker.flight.front_tables import FrontTables
+from startracker.flight.front_tables import OBJECTS, FrontTables
 
 LARGEST_FACTOR = 5
 LONG_SIDE = 9
@@ -61,7 +61,7 @@ def major_variance(xx: IntArray, yy: IntArray, xy: IntArray) -> tuple[IntArray, 
 
 
 def find_objects(searched: Searched, tables: FrontTables) -> Objects:
-    """Components with a saturated pixel, or larger than a stamp: at most as many as stars are kept."""
+    """Components with a saturated pixel, or larger than a stamp: at most `OBJECTS`."""
     image = searched.pixels
     number, count = ndimage.label(searched.above, np.ones((3, 3)))
     y, x = np.nonzero(number)
@@ -98,6 +98,7 @@ def find_objects(searched: Searched, tables: FrontTables) -> Objects:
     first = np.full(count, len(x))
     np.minimum.at(first, which, np.arange(len(x)))
     kept = np.flatnonzero(kind)
-    kept = kept[np.lexsort((first[kept], -key[kept]))][: tables.max_stars]
+    kept = kept[np.lexsort((first[kept], -key[kept]))][:OBJECTS]
     noise = at_columns(searched.lines.noise, tables, y[first[kept]], x[first[kept]])
-    return Objects(kind[kept], key[kept], *moments[:, kept], pixels[kept], noise, box[kept])
+    x16, y16, xx, yy, xy = moments[:, kept]
+    return Objects(kind[kept], key[kept], x16, y16, xx, yy, xy, pixels[kept], noise, box[kept])

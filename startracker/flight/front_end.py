@@ -4,8 +4,9 @@ The C source (``c/tracker_rows.c`` and its companions) takes the frame row by ro
 the same integers as result:
 
 1. `front_background`, `front_rows`: background and noise of tiles of 4 rows, followed along the frame; hot pixels are
-   bridged; a separable matched filter; pixels above the threshold; of their local maxima the highest, with a stamp of 11 × 11 pixels each. Left out are those that
-   no star is as sharp as, and those whose stamp is bright along its border.
+   bridged; a separable matched filter; pixels above the threshold; of their local maxima the highest, with a stamp of
+   11 × 11 pixels each. Left out are those that no star is as sharp as, and those whose stamp is bright along its
+   border.
 2. `front_components`: components of the pixels above, of which those are kept that no stamp holds: with saturated
    pixels, longer than a stamp, or larger than any star.
 3. `front_stamps`: second moments; the motion that the images of all stars share.

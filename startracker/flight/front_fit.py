@@ -51,7 +51,7 @@ def _shift(values: IntArray, bits: IntArray, limit: int = 62) -> IntArray:
     left, right = np.clip(bits, 0, 62), np.clip(-bits, 0, 62)
     most = (1 << limit) - 1
     fits = np.abs(values) <= (most >> left)
-    return np.where(fits, values >> right << left * fits, np.sign(values) * most)
+    return np.asarray(np.where(fits, (values >> right) << (left * fits), np.sign(values) * most))
 
 
 def _thirty_bits(rows: IntArray) -> tuple[IntArray, IntArray]:
@@ -71,7 +71,7 @@ def _profiles(offset: IntArray, tables: FrontTables) -> tuple[IntArray, IntArray
 
     def interpolated(table: IntArray) -> IntArray:
         inner = (table[index] * (1024 - part) + table[index + 1] * part) >> 10
-        return np.where(beyond, table[last], inner)
+        return np.asarray(np.where(beyond, table[last], inner))
 
     integral, density = np.sign(edge) * interpolated(tables.profile), interpolated(tables.density)
     return np.diff(integral, axis=1), density[:, :-1] - density[:, 1:]
@@ -110,7 +110,7 @@ def _weights(light: IntArray, noise: _Noise, tables: FrontTables) -> IntArray:
     """2^19 × the dark variance over that of pixels with a light (N, 11, 11), DN of 4 fraction bits."""
     uneven = np.minimum((light * tables.flat) >> 16, 1 << 16)
     ratio = 4096 + ((light * noise.photon[:, None, None]) >> 20) + ((uneven * uneven * noise.flat[:, None, None]) >> 20)
-    return (1 << 31) // np.minimum(ratio, (1 << 31) - 1)
+    return np.asarray((1 << 31) // np.minimum(ratio, (1 << 31) - 1))
 
 
 def _sums(weight: IntArray, *factors: IntArray) -> IntArray:
@@ -171,7 +171,7 @@ def fit_stars(found: Candidates, shapes: Shapes, trail: Trail, tables: FrontTabl
 def _start_flux(image: IntArray, data: IntArray) -> IntArray:
     """Flux by unweighted least squares."""
     above, below = (image * data).sum(axis=(1, 2)), (image * image).sum(axis=(1, 2)) >> 15
-    return np.clip(above // np.maximum(below, 1), _LEAST_FLUX, _MOST_FLUX)
+    return np.asarray(np.clip(above // np.maximum(below, 1), _LEAST_FLUX, _MOST_FLUX))
 
 
 def _variance(found: Candidates, flux: IntArray, normal: tuple[IntArray, IntArray, IntArray]) -> IntArray:
@@ -204,4 +204,4 @@ def misfit_variance(fits: Fits, tables: FrontTables) -> IntArray:
     wrong = 2 * np.count_nonzero(misfit[first]) > len(first)
     raised = fits.variance * np.minimum(fits.chi2 >> 4, 1 << 32) // (16 * np.maximum(fits.freedom, 1))
     variance = np.where(misfit & (not wrong), raised, fits.variance)
-    return np.minimum(variance + tables.floor, MOST_VARIANCE)
+    return np.asarray(np.minimum(variance + tables.floor, MOST_VARIANCE))

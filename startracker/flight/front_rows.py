@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import BoolArray, IntArray
 from startracker.flight.front_background import Lines, at_columns, background_lines
-from startracker.flight.front_tables import HALF, RUNS, FrontTables
+from startracker.flight.front_tables import HALF, HOT, RUNS, FrontTables
 
 _EXTENDED = 20, 7
 """A candidate is part of something extended if 7/20 of the border of its stamp are bright."""
@@ -45,16 +45,16 @@ def bridge_impulses(pixels: IntArray, lines: Lines, tables: FrontTables) -> IntA
     """Pixels with the hot ones replaced by the fourth lowest of their eight neighbours.
 
     A hot pixel stands 5σ above the background and has at most two neighbours with more than 0.15 of its signal, as of
-    `startracker.detection.defects`. Pixels at the frame's border, and more than `RUNS` in a row, are left as they are.
+    `startracker.detection.defects`. Pixels at the frame's border, and more than `HOT` in a row, are left as they are.
     """
     height, width = pixels.shape
     if not tables.share or min(height, width) < 3:
         return pixels
     knots = lines.level + 5 * lines.noise
     cell = np.searchsorted(tables.knot[1:-1], np.arange(width), side="right")
-    step = ((knots[:, 1:] - knots[:, :-1]) * tables.inverse) >> 8
-    limit = (knots[:, cell] << 8) + step[:, cell] * (np.arange(width) - tables.knot[cell])
-    y, x = np.nonzero((pixels[1:-1, 1:-1] << 16) > limit[1:-1, 1:-1])
+    step = ((knots[:, 1:] - knots[:, :-1]) * tables.inverse) >> 12
+    limit = (knots[:, cell] << 4) + step[:, cell] * (np.arange(width) - tables.knot[cell])
+    y, x = np.nonzero((pixels[1:-1, 1:-1] << 12) > limit[1:-1, 1:-1])
     y, x = y + 1, x + 1
     around = np.sort([pixels[y + j, x + i] for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)], axis=0)
     level = at_columns(lines.level, tables, y, x)
@@ -62,7 +62,7 @@ def bridge_impulses(pixels: IntArray, lines: Lines, tables: FrontTables) -> IntA
     hot = 20 * third <= 3 * ((pixels[y, x] << 8) - level)
     y, x, value = y[hot], x[hot], around[3][hot]
     first = np.searchsorted(y, np.arange(height))
-    kept = np.arange(len(y)) - first[y] < RUNS
+    kept = np.arange(len(y)) - first[y] < HOT
     out = pixels.copy()
     out[y[kept], x[kept]] = value[kept]
     return out

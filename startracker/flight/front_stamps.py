@@ -5,12 +5,12 @@ See `front_end`.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from startracker.arrays import BoolArray, IntArray
-from startracker.flight.front_background import square_root
 from startracker.flight.front_components import Objects, major_variance
 from startracker.flight.front_rows import Candidates
 from startracker.flight.front_tables import HALF, SHAPE_VARIANCE_PX2, FrontTables
@@ -18,6 +18,8 @@ from startracker.flight.front_tables import HALF, SHAPE_VARIANCE_PX2, FrontTable
 _RECENTRINGS = 3
 _FARTHEST = 40
 """From the middle of a stamp, 1/16 px."""
+_LARGEST_MEAN, _LARGEST_MOMENT = 1 << 15, 1 << 28
+"""Of stamps whose light cancels."""
 _NEAREST, _HALO, _HALO_RATIO = 4, 64, 20
 """Squared distances, px²: nearer than the one there is one star, nearer than the other a halo is 20 times fainter."""
 _MARGIN = 3
@@ -94,9 +96,11 @@ def measure_shapes(found: Candidates, tables: FrontTables) -> Shapes:
         if attempt < _RECENTRINGS - 1:
             moved = np.clip(centre + ((mean + 8) >> 4), -_FARTHEST, _FARTHEST)
             centre = np.where(total > 0, moved, centre)
+    mean = np.clip(mean, -_LARGEST_MEAN, _LARGEST_MEAN)
     xx = (column * u * u).sum(axis=1) // s - ((mean[0] * mean[0]) >> 8)
     yy = (row * v * v).sum(axis=1) // s - ((mean[1] * mean[1]) >> 8)
     xy = (light * u[:, None, :] * v[:, :, None]).sum(axis=(1, 2)) // s - ((mean[0] * mean[1]) >> 8)
+    xx, yy, xy = np.clip([xx, yy, xy], -_LARGEST_MOMENT, _LARGEST_MOMENT)
     x, y = np.clip((centre << 12) + (mean << 8), -_FARTHEST << 12, _FARTHEST << 12)
     error = found.noise * _ERROR // np.maximum(total >> 12, 1)
     sharp = major_variance(xx, yy, xy)[1] + 2 * error < tables.seen_sharp
@@ -110,14 +114,13 @@ def frame_trail(found: Candidates, shapes: Shapes, good: BoolArray, tables: Fron
     if len(used) < _FEWEST:
         return Trail(0, 0)
     xx, yy, xy = (int(np.sort(column[used])[len(used) // 2]) for column in (shapes.xx, shapes.yy, shapes.xy))
-    seen = [int(value) for value in major_variance(np.int64(xx), np.int64(yy), np.int64(xy))]
+    seen = [int(axis[0]) for axis in major_variance(np.array([xx]), np.array([yy]), np.array([xy]))]
     major, minor = (value * _WIDE // (_WIDE - value) for value in (min(max(value, 0), _WIDEST) for value in seen))
     apart = major - minor
     if apart <= _TRAILED:
         return Trail(0, 0)
     turned = apart * (xx - yy) // (seen[0] - seen[1])
-    along = int(square_root(np.int64(max(2 * (apart + turned), 0) // 5 << 24)))
-    across = int(square_root(np.int64(max(2 * (apart - turned), 0) // 5 << 24)))
+    along, across = (math.isqrt(max(2 * twice, 0) // 5 << 24) for twice in (apart + turned, apart - turned))
     return Trail(along, across if xy >= 0 else -across)
 
 
@@ -127,5 +130,5 @@ def parts_of_trails(found: Candidates, trail: Trail) -> BoolArray:
     dx, dy = found.x[:, None] - found.x, found.y[:, None] - found.y
     along, across, square = dx * tx + dy * ty, dx * ty - dy * tx, tx * tx + ty * ty
     higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
-    on_trail = (across * across <= 4 * square << 0) & (np.abs(along) << 8 <= 4 * square)
+    on_trail = (across * across <= 4 * square) & (np.abs(along) << 8 <= 4 * square)
     return np.asarray((higher & on_trail).any(axis=1) & (square > 0))

@@ -18,15 +18,17 @@ from startracker.fixed_point.c_table import CTable
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import VARIANCE_BITS
 
-FRONT_MODULES = ("background", "rows", "components", "stamps", "fit", "front")
+FRONT_MODULES = ("integers", "background", "rows", "components", "stamps", "fit", "front")
 BLOCK = 4
 """Rows of a block of the background."""
 HALF = 5
 """Half side of a stamp, pixels."""
-RUNS = 64
+RUNS, HOT = 32, 64
 """Runs of a row above the threshold that are looked at, and hot pixels of a row that are bridged."""
+OBJECTS = 32
+"""Components kept that no stamp holds."""
 FIRST_TAP = 128
-LARGEST_SIDE = 4096
+SMALLEST_SIDE, LARGEST_SIDE = 16, 4096
 SHAPE_VARIANCE_PX2 = 3.0
 """Variance of the weight under which star images are measured: wider than images smeared by 5 px."""
 _SAMPLES = 128
@@ -124,11 +126,11 @@ def front_tables(design: FlightDesign) -> FrontTables:
     Raises
     ------
     InputError
-        A frame of more than 4096 pixels a side; a gain or star image out of range.
+        A frame of less than 16 or more than 4096 pixels a side; a gain or star image out of range.
     """
     width, height, sigma = design.camera.width, design.camera.height, design.psf_sigma_px
-    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
-        raise InputError(f"a flight build takes frames of up to 4096 × 4096 pixels; the camera has {width} × {height}")
+    if min(width, height) < SMALLEST_SIDE or max(width, height) > LARGEST_SIDE:
+        raise InputError(f"a flight build takes frames of 16 to 4096 pixels a side; the camera has {width} × {height}")
     if not 0.3 <= sigma <= 3.0:
         raise InputError(f"a flight build takes star images of σ from 0.3 to 3 pixels; the design has {sigma:g}")
     if not 2.0**-6 <= design.detector.gain_e_per_dn <= 2.0**14:
@@ -149,7 +151,7 @@ def front_tables(design: FlightDesign) -> FrontTables:
         height,
         design.detector.saturation_dn,
         detection.max_stars,
-        detection.max_stars + detection.max_stars // 4,
+        detection.max_stars + detection.max_stars // 10,
         detection.max_pixels,
         round(256 * detection.max_axis_ratio),
         max(2, -(-int(np.diff(edge).max()) * BLOCK // _SAMPLES)),
@@ -174,13 +176,13 @@ def front_tables(design: FlightDesign) -> FrontTables:
 def _taps(sigma_px: float) -> IntArray:
     half = matched_kernel(min(sigma_px, (_LONGEST_REACH + 0.5) / 2.5))
     half = half[len(half) // 2 :]
-    return np.rint(FIRST_TAP * half / half[0]).astype(np.int64)
+    return np.asarray(np.rint(FIRST_TAP * half / half[0]).astype(np.int64))
 
 
 def _share(sigma_px: float, taps: IntArray) -> int:
     """Brightest pixel of the sharpest star over its filtered value, middle tap 1."""
     half = kernel_half(np.concatenate([taps[:0:-1], taps]) / float(FIRST_TAP))
-    return round(65536 * peak_share(sigma_px, half))
+    return round(65536 * float(peak_share(sigma_px, half)))
 
 
 def _knots(edge: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
@@ -207,11 +209,16 @@ def front_constants(tables: FrontTables) -> dict[str, int]:
     numbers |= {
         "BLOCK": BLOCK,
         "BLOCKS": max(1, tables.height // BLOCK),
+        "KEPT": (BLOCK + max(HALF, reach + 1)) // BLOCK + 2,
+        "KNOTS": tiles + 2,
+        "WIDE": round(256 * SHAPE_VARIANCE_PX2),
         "HALF": HALF,
         "SIDE": 2 * HALF + 1,
         "LAG": BLOCK + max(HALF, reach + 1),
         "RING": HALF + BLOCK + max(HALF, reach + 1) + 1,
         "RUNS": RUNS,
+        "HOT": HOT,
+        "OBJECTS": OBJECTS,
         "TILES": tiles,
         "REACH": reach,
         "TAPS": reach + 1,

@@ -26,7 +26,7 @@ MOST_OTHERS = 48
 LEAST_EVIDENCE = -29545
 """log₂ e⁻⁵."""
 SURE_BEYOND, RIVALS_BEYOND = 88640, 29547
-"""15 and 5 / ln 2: of a margin to the limit, beyond which no other attitude can compete, and with which a field that fits
+"""15 and 5 / ln 2: margins to the limit beyond which no other attitude can compete, and with which a field that fits
 the stated errors is not searched further."""
 _AS_STATED = 3
 """Number of the width 2.2."""
@@ -50,12 +50,13 @@ class Reason(IntEnum):
     POSE_FAILED = 7
     STEPS_USED_UP = 8
     ROWS_MISSING = 9
-    UNIFORM = 10
+    FRAME_UNIFORM = 10
     SATURATED_SHARE = 11
 
 
 class FlightPrior(NamedTuple):
-    """An attitude (3, 3) of 2.30 known a priori, and the largest rotation by which it may be wrong, 28 fraction bits."""
+    """An attitude (3, 3) of 2.30 known a priori, and the largest rotation by which it may be wrong, rad, 28 fraction
+    bits."""
 
     matrix: IntArray
     radius: int
@@ -225,7 +226,7 @@ def _searched(
     if not pool.kept:
         return Found(reason, np.zeros((3, 3), np.int64), guide, steps=work.steps), False
     best = pool.kept[0]
-    guide[seen.index] = best.guide
+    guide[seen.listed] = best.guide
     matched = int((best.guide >= 0).sum())
     return Found(reason, best.matrix, guide, matched, best.evidence, chance, work.steps), pool.beyond(RIVALS_BEYOND)
 

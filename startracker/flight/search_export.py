@@ -61,9 +61,9 @@ def search_arrays(t: SearchTables) -> list[CTable]:
     for row, steps in enumerate(verifying.GATES):
         gates[row, : len(steps)] = steps
     named = [
-        ("int32_t", "guide", "guide stars, brightest first: unit vectors of 2.30", t.guide),
-        ("int16_t", "magnitude", "their V, 6 fraction bits", t.magnitude),
-        ("int32_t", "number", "their catalogue numbers", t.number),
+        ("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", t.guide),
+        ("int16_t", "guide_magnitude", "their V, 6 fraction bits", t.magnitude),
+        ("int32_t", "guide_number", "their catalogue numbers", t.number),
         ("uint16_t", "first", "guide stars of the pairs, by bins of their chords", t.first),
         ("uint16_t", "second", "the same", t.second),
         ("uint32_t", "bin_start", "first pair of each bin", t.bin_start),
@@ -86,4 +86,7 @@ def search_arrays(t: SearchTables) -> list[CTable]:
         ("int32_t", "row", "the searches: columns are those of enum TRACKER_ROW_POLES", search_plan.search_rows()),
         ("int32_t", "gate", "squares of the gates of the verification, 8 fraction bits", gates),
     ]
-    return [CTable(type_, f"search_{name}", meaning, values) for type_, name, meaning, values in named]
+    return [
+        CTable(type_, name if name.startswith("guide_") else f"search_{name}", meaning, values)
+        for type_, name, meaning, values in named
+    ]

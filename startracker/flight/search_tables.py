@@ -38,8 +38,8 @@ in the large tables of counts."""
 SQUARE_BITS = 8
 """Of squared residuals in units of the stated variance."""
 PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD = 0.3, 0.8, 14
-"""Largest separation of the pairs, of the field's diagonal; that of pairs of the brightest stars everywhere, so many in a
-circle around the field: if an image has few stars, they are those and far apart."""
+"""Largest separation of the pairs, of the field's diagonal; that of pairs of the brightest stars everywhere, so many in
+a circle around the field: if an image has few stars, they are those and far apart."""
 _BINS = 2048
 COLUMNS = 64
 COLUMN_SHIFT = 31 - COLUMNS.bit_length() + 1
@@ -104,15 +104,14 @@ class SearchTables(NamedTuple):
     log_scale2: IntArray
     quadratic: IntArray
     log_volume: IntArray
-    """Of each width (8,): log₂ of its square; log₂ e/2 of a squared residual, 20 fraction bits; log₂ of its prior and of
-    the volume of attitudes for a normal matrix of determinant 1."""
+    """Of each width (8,): log₂ of its square; log₂ e/2 of a squared residual, 20 fraction bits; log₂ of its prior and
+    of the volume of attitudes for a normal matrix of determinant 1."""
     log_density: IntArray
     """log₂ of the bound on the density of ln B, by the number of stars, rounded up."""
     log_rate: int
     """log₂ of the false-alarm rate, rounded down."""
     needed: IntArray
-    """Largest mean, 16 fraction bits, of which k or more matches occur with a probability of 0.02, 0.005, 0.001 and 10⁻⁴
-    at most, (4, k)."""
+    """Largest mean, 16 fraction bits, of which k or more matches have a probability of `CHANCES` at most, (4, k)."""
     magnitude_tolerance: int
     """Between differences of brightness, 6 fraction bits."""
 
@@ -216,7 +215,8 @@ def column_of(coordinate: ArrayLike) -> IntArray:
 def _columns(directions: IntArray) -> tuple[IntArray, IntArray]:
     column = column_of(directions[:, 0]) * COLUMNS + column_of(directions[:, 1])
     order = np.lexsort((directions[:, 2], column))
-    return np.searchsorted(column[order], np.arange(COLUMNS * COLUMNS + 1)), order
+    start: IntArray = np.searchsorted(column[order], np.arange(COLUMNS * COLUMNS + 1))
+    return start, np.asarray(order)
 
 
 def _outline(least_cosine: FloatArray) -> IntArray:
@@ -226,7 +226,7 @@ def _outline(least_cosine: FloatArray) -> IntArray:
     azimuth = 0.5 * math.pi * quadrant + np.arctan2(along, 1.0 - along)
     known = -math.pi + 2.0 * math.pi * np.arange(len(least_cosine)) / len(least_cosine)
     value = np.interp(azimuth, known, least_cosine, period=2.0 * math.pi)
-    return np.rint(value * (1 << DIRECTION_BITS)).astype(np.int64)
+    return np.asarray(np.rint(value * (1 << DIRECTION_BITS)).astype(np.int64))
 
 
 def _crowding() -> IntArray:
@@ -241,7 +241,7 @@ def _densities() -> IntArray:
     core = (1.0 - WIDE_SHARE) / width * np.exp(-0.5 * (difference / width) ** 2)
     wide = WIDE_SHARE / WIDE_MAG * np.exp(-0.5 * (difference / WIDE_MAG) ** 2)
     density = (core + wide) / math.sqrt(2.0 * math.pi)
-    return np.floor(density * (1 << DENSITY_BITS)).astype(np.int64)
+    return np.asarray(np.floor(density * (1 << DENSITY_BITS)).astype(np.int64))
 
 
 def _log2_distracting(most: int) -> IntArray:

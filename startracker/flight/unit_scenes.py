@@ -1,6 +1,6 @@
 """Fields for the unit tests of an exported flight build: lists of stars, and frames that a few numbers describe.
 
-A frame is an even background with noise from a linear congruential generator, which starts anew in each row, and stars
+A frame is an even background with noise from a linear congruential generator of its own for each row, and stars
 whose images are products of two profiles tabulated at eighths of a pixel: ``test_frames.c`` makes the same pixels.
 """
 

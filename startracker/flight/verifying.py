@@ -26,8 +26,8 @@ GATES = (
     ((1016064, 254016), (28224, 28224), (3318, 3318)),
     ((5308416, 1327104), (147456, 147456), (16384, 16384), (3318, 3318)),
 )
-"""Squares of the gates in units of the stated variances, 8 fraction bits, of the first round and of the others: 4.5 times
-14, 7, 7/3 and 0.8 stated errors; 4.5 times 32, 16, 16/3, 16/9 and 0.8."""
+"""Squares of the gates in units of the stated variances, 8 fraction bits, of the first round and of the others: 4.5
+times 14, 7, 7/3 and 0.8 stated errors; 4.5 times 32, 16, 16/3, 16/9 and 0.8."""
 ROUNDS = 5
 WEIGHT_BITS = 12
 _ONE = 1 << 30
@@ -114,8 +114,8 @@ def _weights(variance: IntArray) -> tuple[IntArray, int]:
 
 
 class _Normal(NamedTuple):
-    """Normal matrix of small rotations in 30 bits: its cofactors and determinant, both of 60 bits and shifted by 30; the
-    shift of the matrix; the gradient."""
+    """Normal matrix of small rotations in 30 bits: its cofactors and determinant, shifted by 30; the shift of the
+    matrix; the gradient; the least variance."""
 
     cofactors: IntArray
     determinant: int
@@ -194,9 +194,9 @@ def verify(
     for gates in GATES[wide]:
         settled = _settle(matrix, seen, field, gates)
         steps += settled.rounds * n * depth
-        if settled.index is None:
+        if settled.rank is None:
             break
-        matrix, index = settled.matrix, settled.index
+        matrix, index = settled.matrix, settled.rank
         if np.array_equal(index, weighed):
             continue
         weighed = index
@@ -214,10 +214,10 @@ def verify(
 
 
 class _Settled(NamedTuple):
-    """Result of `_settle`; no index if fewer than three stars match or the fit fails."""
+    """Result of `_settle`; no ranks if fewer than three stars match or the fit fails."""
 
     matrix: IntArray
-    index: IntArray | None
+    rank: IntArray | None
     square: IntArray
     predicted: IntArray
     rounds: int

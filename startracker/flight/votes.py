@@ -1,13 +1,13 @@
-"""Candidates of one observed star, the pole, by the votes of its neighbours (Padgett & Kreutz-Delgado 1997), in integers.
+"""Candidates of one observed star, the pole, by votes of its neighbours (Padgett & Kreutz-Delgado 1997), in integers.
 
 Every guide pair as long as the separation of the pole from a neighbour is a vote for both of its stars. A first pass
 counts the neighbours that vote for each guide star; a second one keeps the votes for those with enough of them. Two
 votes for a guide star agree if the third side of their triangle is as long as observed, and the triangle has the
 same sense. With two votes that agree this is the triangle of Mortari et al. 2004; more of them are its confirmation.
 
-Memory is bounded: three bytes a guide star, and `MOST_VOTES` votes: if there are more, further passes keep those for the
-other guide stars, and if there are too many for these, more votes are required. The C (`c/tracker_votes.c`) performs the
-same operations.
+Memory is bounded: a byte a guide star, and `MOST_VOTES` votes: if there are more, further passes keep those for the
+other guide stars, and if there are too many for these, more votes are required. The C (`c/tracker_votes.c`) performs
+the same operations.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from startracker.arrays import IntArray
 from startracker.flight.evidence import Sight
-from startracker.flight.integers import cross, rooted
+from startracker.flight.integers import rooted
 from startracker.flight.search_plan import Search
 from startracker.flight.search_tables import SearchTables
 
@@ -132,8 +132,8 @@ def _slices(counts: IntArray, need: int) -> int:
 
 
 def _votes(pole: int, near: _Neighbours, seen: Sight, t: SearchTables) -> IntArray:
-    """Votes (V, 3) in the order of the neighbours and pairs: the neighbour's number among them, its guide star, and that
-    of the pole; only those whose difference in brightness is possible."""
+    """Votes (V, 3) in the order of the neighbours and pairs: the neighbour's number among them, its guide star, and
+    that of the pole; only those whose difference in brightness is possible."""
     parts = []
     for k, star in enumerate(near.star.tolist()):
         low, high = int(near.low[k]), int(near.high[k])
@@ -158,14 +158,14 @@ def _agreeing(
     compared = len(x)
     other = sorted_[x, 0] != sorted_[y, 0]
     x, y = x[other], y[other]
-    k, l = near.star[sorted_[x, 0]], near.star[sorted_[y, 0]]
+    k, m = near.star[sorted_[x, 0]], near.star[sorted_[y, 0]]
     a, b, c = sorted_[x, 2], sorted_[x, 1], sorted_[y, 1]
     apart = t.guide[b] - t.guide[c]
-    square, chord = (apart * apart).sum(axis=1), stars.chord[k, l]
-    allowed = tolerance(chord, stars.error[k, l], search.sides)
+    square, chord = (apart * apart).sum(axis=1), stars.chord[k, m]
+    allowed = tolerance(chord, stars.error[k, m], search.sides)
     low, high = np.maximum(chord - allowed, 0), chord + allowed
     agree = (square >= low * low) & (square <= high * high)
-    observed = _area(seen.direction[pole], seen.direction[k], seen.direction[l])
+    observed = _area(seen.direction[pole], seen.direction[k], seen.direction[m])
     known = _area(t.guide[a], t.guide[b], t.guide[c])
     thin = np.abs(observed) <= (allowed * chord) >> _AREA_SHIFT
     agree &= thin | ((observed > 0) == (known > 0))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from simulator.build import build_focal_plane
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.trials.trial import build_tracker
 from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.identification_settings import IdentificationSettings
 from startracker.observer import Observer
 
 
@@ -38,9 +41,17 @@ def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str
         psf.sigma_px,
         tracker.detection,
         tracker.centroid,
-        tracker.identification,
+        _identification(scenario, tracker.identification, identifier),
         arithmetic,
         identifier,
         scenario.name,
         scenario.fingerprint(),
     )
+
+
+def _identification(scenario: Scenario, settings: IdentificationSettings, identifier: str) -> IdentificationSettings:
+    """Settings of the scenario's identifier; those that all methods share if the flight build has another one."""
+    if scenario.tracker.identifier == identifier:
+        return settings
+    shared = {one.name: getattr(settings, one.name) for one in dataclasses.fields(IdentificationSettings)}
+    return IdentificationSettings(**shared)

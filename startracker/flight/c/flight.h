@@ -17,6 +17,8 @@
 #define TRACKER_FLIGHT_H
 
 #include "tracker_types.h"
+
+#include "tracker_pose.h"
 #include "tracker_search.h"
 
 #ifdef __cplusplus
@@ -30,6 +32,7 @@ struct tracker_context {
     struct tracker_vector direction[TRACKER_MAX_STARS];  /* of each, camera axes */
     union {
         struct tracker_search search;
+        struct tracker_pose pose;
     } work;
 };
 

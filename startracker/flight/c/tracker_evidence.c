@@ -149,7 +149,7 @@ static int64_t zero_point(struct tracker_field *field, const struct tracker_sear
     for (k = 0; k < field->matched; k++) {
         const int star = field->star[k];
         const int64_t off =
-            (int64_t)search->magnitude[star] - tracker_search_magnitude[field->guide[field->rank[star]]];
+            (int64_t)search->magnitude[star] - tracker_guide_magnitude[field->guide[field->rank[star]]];
         for (at = k; at > 0 && ordered[at - 1] > off; at--)
             ordered[at] = ordered[at - 1];
         ordered[at] = off;
@@ -178,11 +178,11 @@ static void compare_magnitudes(struct tracker_search *search)
             const int64_t own = search->magnitude[star] - zero;
             int64_t anyhow = 0, likely, samples = 0;
             for (at = 0; at < field->depth; at += stride) {
-                anyhow += density(scatter, own - tracker_search_magnitude[field->guide[at]]) + 1;
+                anyhow += density(scatter, own - tracker_guide_magnitude[field->guide[at]]) + 1;
                 samples++;
             }
             anyhow = anyhow / samples + 1 + TRACKER_SEARCH_DENSITY_FLOOR + 1;
-            likely = density(scatter, own - tracker_search_magnitude[field->guide[field->rank[star]]]);
+            likely = density(scatter, own - tracker_guide_magnitude[field->guide[field->rank[star]]]);
             likely = tracker_log_down(likely + TRACKER_SEARCH_DENSITY_FLOOR) - tracker_log_down(anyhow) - LOG_UP;
             field->ratio[scatter][k] = (int32_t)likely;
             most = larger(most, likely);

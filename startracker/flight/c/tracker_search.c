@@ -231,7 +231,7 @@ static int fits_prior(const struct tracker_search *search, int star, int guide, 
     if (radius == 0 || radius >= ONE_RADIAN)
         return 1;
     for (k = 0; k < 3; k++)
-        direction[k] = tracker_search_guide[guide][k];
+        direction[k] = tracker_guide_direction[guide][k];
     to_array(&search->direction[star], seen);
     for (k = 0; k < 3; k++) {
         int64_t apart;
@@ -259,7 +259,7 @@ static int guide_near(const int64_t sky[3], int64_t gate2)
         for (y = column_of(sky[1] - reach); y <= column_of(sky[1] + reach); y++) {
             const int column = x * TRACKER_SEARCH_COLUMNS + y;
             for (entry = tracker_search_column_start[column]; entry < tracker_search_column_start[column + 1]; entry++) {
-                const int32_t *guide = tracker_search_guide[tracker_search_column_star[entry]];
+                const int32_t *guide = tracker_guide_direction[tracker_search_column_star[entry]];
                 const int64_t dx = sky[0] - guide[0], dy = sky[1] - guide[1], dz = sky[2] - guide[2];
                 if (tracker_magnitude(dz) <= reach && dx * dx + dy * dy + dz * dz <= gate2)
                     return 1;
@@ -355,8 +355,8 @@ static void try_candidate(struct tracker_search *search, int pole, const struct 
     to_array(&search->direction[pole], p);
     to_array(&search->direction[candidate->neighbour], q);
     for (k = 0; k < 3; k++) {
-        u[k] = tracker_search_guide[candidate->guide[0]][k];
-        w[k] = tracker_search_guide[candidate->guide[1]][k];
+        u[k] = tracker_guide_direction[candidate->guide[0]][k];
+        w[k] = tracker_guide_direction[candidate->guide[1]][k];
     }
     if (!pair_frame(p, q, seen) || !pair_frame(u, w, known))
         return;

@@ -64,7 +64,7 @@ enum tracker_reason {
     TRACKER_POSE_FAILED,     /* the identified stars fit no attitude */
     TRACKER_STEPS_USED_UP,   /* the steps of the search were used up before an attitude was accepted */
     TRACKER_ROWS_MISSING,    /* tracker_finish before TRACKER_HEIGHT rows */
-    TRACKER_UNIFORM,         /* the frame has no noise */
+    TRACKER_FRAME_UNIFORM,   /* the frame has no noise */
     TRACKER_SATURATED_SHARE  /* a large part of the frame is saturated */
 };
 

@@ -110,7 +110,7 @@ static void find_field(struct tracker_search *search, const struct tracker_matri
             for (entry = tracker_search_column_start[column]; entry < tracker_search_column_start[column + 1]; entry++) {
                 const int star = tracker_search_column_star[entry];
                 for (k = 0; k < 3; k++)
-                    guide[k] = tracker_search_guide[star][k];
+                    guide[k] = tracker_guide_direction[star][k];
                 along((const int64_t(*)[3])axes, guide, seen);
                 if (inside(seen))
                     insert(field, star, most);
@@ -119,9 +119,9 @@ static void find_field(struct tracker_search *search, const struct tracker_matri
     for (k = 0; k < field->depth; k++) {
         struct tracker_vector *direction = &field->direction[k];
         const int star = field->guide[k];
-        direction->x = tracker_search_guide[star][0];
-        direction->y = tracker_search_guide[star][1];
-        direction->z = tracker_search_guide[star][2];
+        direction->x = tracker_guide_direction[star][0];
+        direction->y = tracker_guide_direction[star][1];
+        direction->z = tracker_guide_direction[star][2];
         if (velocity->x != 0 || velocity->y != 0 || velocity->z != 0)
             tracker_aberrate(direction, velocity, direction);
     }

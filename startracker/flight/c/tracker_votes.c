@@ -59,7 +59,7 @@ static void find_neighbours(const struct tracker_search *search, struct tracker_
 /* Whether a neighbour can be so much fainter than the pole. */
 static int fits_brightness(const struct tracker_search *search, int64_t fainter, int a, int b)
 {
-    const int64_t known = (int64_t)tracker_search_magnitude[a] - tracker_search_magnitude[b];
+    const int64_t known = (int64_t)tracker_guide_magnitude[a] - tracker_guide_magnitude[b];
 
     return !search->brightness || tracker_magnitude(fainter - known) <= TRACKER_SEARCH_MAGNITUDE_TOLERANCE;
 }
@@ -200,9 +200,9 @@ static int agree(const struct tracker_search *search, int pole, int pole_guide, 
     int axis;
 
     for (axis = 0; axis < 3; axis++) {
-        a[axis] = tracker_search_guide[pole_guide][axis];
-        b[axis] = tracker_search_guide[one->guide][axis];
-        c[axis] = tracker_search_guide[other->guide][axis];
+        a[axis] = tracker_guide_direction[pole_guide][axis];
+        b[axis] = tracker_guide_direction[one->guide][axis];
+        c[axis] = tracker_guide_direction[other->guide][axis];
         square += (b[axis] - c[axis]) * (b[axis] - c[axis]);
     }
     if (square < low * low || square > high * high)

@@ -1,6 +1,6 @@
 /* Frames that are made here of a few numbers, and the answers that the Python reference gave at the export.
  *
- * A frame is an even background, noise from a linear congruential generator that starts anew in each row, and stars whose
+ * A frame is an even background, noise from a linear congruential generator of its own for each row, and stars whose
  * images are a product of two profiles, tabulated at eighths of a pixel. */
 #include <stdio.h>
 
