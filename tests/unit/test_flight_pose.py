@@ -217,8 +217,11 @@ def wild(guide, rng):
     given = frame(guide, rng, KINDS[int(rng.integers(len(KINDS)))])
     stars, n = given.stars, len(given.guide)
     some = rng.random(n) < 0.3
-    kind = int(rng.integers(6))
-    if kind == 0:
+    kind = int(rng.integers(9))
+    if kind >= 6:  # near the limit of the rejection
+        away = np.rint(65536 * rng.uniform(2.8, 4.2, n) * np.sqrt(stars.variance_px2)).astype(np.int64)
+        stars = stars._replace(x=np.where(some, stars.x + away, stars.x))
+    elif kind == 0:
         stars = stars._replace(x=np.where(some, rng.integers(-(2**31), 2**31, n), stars.x))
     elif kind == 1:
         stars = stars._replace(variance=rng.choice([0, 1, (1 << 32) - 1, 1 << 20], n))
