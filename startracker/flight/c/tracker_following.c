@@ -334,3 +334,17 @@ int tracker_following_attitude(const struct tracker_following *following, struct
             covariance[i][j] = tracker_integer_of(following->covariance[i][j], COVARIANCE_BITS - 2 * TRACKER_ANGLE_BITS);
     return 1;
 }
+
+enum tracker_following_result tracker_following_take(struct tracker_following *following, struct tracker_answer *answer)
+{
+    enum tracker_following_result result;
+
+    if (answer->status != TRACKER_SOLVED)
+        return TRACKER_FOLLOWING_COASTING;
+    result = tracker_following_update(following, &answer->attitude, answer->covariance);
+    if (result != TRACKER_FOLLOWING_REJECTED) {
+        (void)tracker_following_attitude(following, &answer->attitude, answer->covariance);
+        tracker_quaternion_of(&answer->attitude, answer->quaternion);
+    }
+    return result;
+}
