@@ -34,7 +34,8 @@ _LOG_SIX_PI = 17352
 """log₂ 6π, rounded down."""
 _MOST_RATIO, _LARGEST_VARIANCE = 1 << 16, 1 << 42
 _ONE_RADIAN = 1 << 28
-_CANDIDATE_STEPS, _STAR_STEPS = 30, 60
+CANDIDATE_STEPS, STAR_STEPS = 30, 60
+"""Of a candidate, and of each star that may confirm it."""
 
 
 class Reason(IntEnum):
@@ -170,7 +171,9 @@ def _rotation2(one: IntArray, other: IntArray) -> int:
     return sum(int(c) for c in (apart * apart).ravel())
 
 
-def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables) -> Found:
+def identify(
+    seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables
+) -> Found:
     """Identify observed stars, lost in space or around a prior.
 
     Parameters
@@ -250,7 +253,7 @@ class _Work:
             if self.steps > most:
                 self.pool.cut_short |= bool(search.stated)
                 return
-            candidates = vote_about(pole, self.seen, self.sides, search, self.tables)
+            candidates = vote_about(pole, self.seen, self.sides, search, most - self.steps, self.tables)
             self.steps += candidates.steps
             for row in candidates.rows.tolist():
                 if self.steps > most or self.pool.beyond(SURE_BEYOND):
@@ -272,7 +275,7 @@ class _Work:
         if self.pool.is_known(matrix, square):
             return
         others = np.array([s for s in range(len(seen)) if s not in (pole, neighbour, third)][:MOST_OTHERS], np.int64)
-        self.steps += _CANDIDATE_STEPS + _STAR_STEPS * len(others)
+        self.steps += CANDIDATE_STEPS + STAR_STEPS * len(others)
         gate2 = self._gates(pole, neighbour, others, frame, search)
         if self._confirmed(matrix, others, gate2, search):
             self._verify(matrix, search.gates)

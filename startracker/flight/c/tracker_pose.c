@@ -55,6 +55,7 @@ static int64_t median_of_used(const struct tracker_pose *pose, const int64_t *va
     int64_t ordered[TRACKER_MAX_STARS];
     int n, at, count = 0;
 
+    ordered[0] = 0;
     for (n = 0; n < pose->stars; n++) {
         if (pose->used[n] < 0)
             continue;
