@@ -34,7 +34,8 @@ _LOG_SIX_PI = 17352
 """log₂ 6π, rounded down."""
 _MOST_RATIO, _LARGEST_VARIANCE = 1 << 16, 1 << 42
 _ONE_RADIAN = 1 << 28
-_CANDIDATE_STEPS, _STAR_STEPS = 30, 60
+CANDIDATE_STEPS, STAR_STEPS = 30, 60
+"""Of a candidate, and of each star that may confirm it."""
 
 
 class Reason(IntEnum):
@@ -252,7 +253,7 @@ class _Work:
             if self.steps > most:
                 self.pool.cut_short |= bool(search.stated)
                 return
-            candidates = vote_about(pole, self.seen, self.sides, search, self.tables)
+            candidates = vote_about(pole, self.seen, self.sides, search, most - self.steps, self.tables)
             self.steps += candidates.steps
             for row in candidates.rows.tolist():
                 if self.steps > most or self.pool.beyond(SURE_BEYOND):
@@ -274,7 +275,7 @@ class _Work:
         if self.pool.is_known(matrix, square):
             return
         others = np.array([s for s in range(len(seen)) if s not in (pole, neighbour, third)][:MOST_OTHERS], np.int64)
-        self.steps += _CANDIDATE_STEPS + _STAR_STEPS * len(others)
+        self.steps += CANDIDATE_STEPS + STAR_STEPS * len(others)
         gate2 = self._gates(pole, neighbour, others, frame, search)
         if self._confirmed(matrix, others, gate2, search):
             self._verify(matrix, search.gates)

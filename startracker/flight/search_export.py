@@ -51,8 +51,23 @@ def search_constants(t: SearchTables) -> dict[str, int]:
         "SEARCH_MOST_VOTES": votes.MOST_VOTES,
         "SEARCH_MOST_KEPT": votes.MOST_KEPT,
         "SEARCH_MOST_COUNT": votes.MOST_COUNT,
-        "SEARCH_MOST_STEPS": search_plan.MOST_STEPS,
+        "SEARCH_MOST_STEPS": _most_steps(t),
     }
+
+
+def _most_steps(t: SearchTables) -> int:
+    """Bound on the steps of an identification: a search ends with the pass, or the verification, that exceeds its own.
+
+    Around a prior, there is a second one over the whole sky.
+    """
+    stars, depth = t.most_stars, t.seeing.shape[1] - 1
+    a_pass = 2 * votes.MOST_NEIGHBOURS * len(t.first) + 4 * votes.MOST_VOTES * (votes.MOST_COUNT - 1)
+    counting = len(t.guide) + 2 * votes.MOST_NEIGHBOURS * len(t.first)
+    rounds = verifying.ROUNDS * max(map(len, verifying.GATES))
+    verification = verifying.STEPS + (rounds + 14 * max(map(len, verifying.GATES))) * stars * depth
+    candidate = search.CANDIDATE_STEPS + search.STAR_STEPS * search.MOST_OTHERS + verification
+    beyond = counting + a_pass + candidate
+    return 2 * (verification + sum(one.steps + beyond for one in search_plan.SEARCHES))
 
 
 def search_arrays(t: SearchTables) -> list[CTable]:

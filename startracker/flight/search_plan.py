@@ -69,7 +69,6 @@ SEARCHES = (
     _search((25, 60, 12, 3), 2.6, 7.0, 0, 1, 2, 6_000_000),
     _search((25, 60, 16, 4), 2.6, 16.0, 1, 2, 2, 6_000_000),
 )
-MOST_STEPS = sum(search.steps for search in SEARCHES)
 
 
 def search_rows() -> IntArray:

@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike
 from startracker.arrays import FloatArray, IntArray
 from startracker.display import described
 from startracker.errors import InputError
+from startracker.fixed_point.evidence import LOG_BITS
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import FASTEST, GridTables, plane_of, vectors_of
-from startracker.flight.evidence import LOG_BITS, sight
+from startracker.flight.evidence import sight
+from startracker.flight.front_end import FrontTables, front_tables, measure_frame
 from startracker.flight.pose import PoseTables, pose_tables, solve_pose
 from startracker.flight.search import FlightPrior, Found, Reason, identify
 from startracker.flight.search_tables import SearchTables, search_tables
@@ -31,6 +33,8 @@ _STATUS = {
     Reason.SATURATED_SHARE: Status.SATURATED,
 }
 """All others are `Status.NO_MATCH`."""
+SATURATED_PART = 20
+"""An unsolved frame with more than one saturated pixel in this many is called saturated (`survey.SATURATED_SHARE`)."""
 _AT_REST = np.zeros(3, np.int64)
 
 
@@ -98,8 +102,7 @@ class FlightTracker:
     Parameters
     ----------
     design : FlightDesign
-    search : SearchTables
-    pose : PoseTables
+    front, search, pose : FrontTables, SearchTables, PoseTables
 
     Examples
     --------
@@ -107,8 +110,8 @@ class FlightTracker:
     >>> tracker.solve_stars(StarList.of(xy_px, flux_dn, variance_px2)).status  # doctest: +SKIP
     """
 
-    def __init__(self, design: FlightDesign, search: SearchTables, pose: PoseTables) -> None:
-        self.design, self.search_tables, self.pose_tables = design, search, pose
+    def __init__(self, design: FlightDesign, front: FrontTables, search: SearchTables, pose: PoseTables) -> None:
+        self.design, self.front_tables, self.search_tables, self.pose_tables = design, front, search, pose
 
     @classmethod
     def build(cls, design: FlightDesign) -> FlightTracker:
@@ -119,7 +122,7 @@ class FlightTracker:
         InputError
             For a camera, settings or guide stars that a flight build does not hold.
         """
-        return cls(design, search_tables(design), pose_tables(design))
+        return cls(design, front_tables(design), search_tables(design), pose_tables(design))
 
     def __repr__(self) -> str:
         stars = f"{len(self.search_tables.guide):,} guide stars, {len(self.search_tables.first):,} pairs"
@@ -129,6 +132,32 @@ class FlightTracker:
     def grid(self) -> GridTables:
         """Table of the directions."""
         return self.pose_tables.grid
+
+    def solve(
+        self, image: ArrayLike, *, velocity: ArrayLike | None = None, prior: FlightPrior | None = None
+    ) -> FlightAnswer:
+        """Attitude from the pixels of a frame.
+
+        Parameters
+        ----------
+        image : uint16 array, shape (H, W)
+            DN.
+        velocity, prior
+            As in `solve_stars`.
+
+        Raises
+        ------
+        InputError
+            For an array of another shape or type, or a faster observer.
+        """
+        frame = measure_frame(image, self.front_tables)
+        if frame.lowest == frame.highest:
+            none = Found(Reason.FRAME_UNIFORM, np.zeros((3, 3), np.int64), np.empty(0, np.int64))
+            return _unsolved(none, Reason.FRAME_UNIFORM)
+        answer = self.solve_stars(frame.stars, velocity=velocity, prior=prior)
+        if not answer.solved and frame.saturated * SATURATED_PART > np.size(image):
+            answer = answer._replace(status=Status.SATURATED, reason=Reason.SATURATED_SHARE)
+        return answer
 
     def solve_stars(
         self, stars: StarList, *, velocity: ArrayLike | None = None, prior: FlightPrior | None = None

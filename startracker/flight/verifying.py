@@ -28,7 +28,8 @@ GATES = (
 )
 """Squares of the gates in units of the stated variances, 8 fraction bits, of the first round and of the others: 4.5
 times 14, 7, 7/3 and 0.8 stated errors; 4.5 times 32, 16, 16/3, 16/9 and 0.8."""
-ROUNDS = 5
+ROUNDS, STEPS = 5, 500
+"""Most rounds of a gate; steps of a verification besides those that grow with the numbers of stars."""
 WEIGHT_BITS = 12
 _ONE = 1 << 30
 _LARGEST_TURN = 1 << 27  # of 2.30: 7°
@@ -185,7 +186,7 @@ def verify(
     """
     n = len(seen)
     field = field_at(start, velocity, min(2 * n + MOST_EXTRA, t.seeing.shape[1] - 1), t)
-    depth, steps, matrix = len(field.guide), 500, start
+    depth, steps, matrix = len(field.guide), STEPS, start
     none = np.full(n, -1, np.int64)
     best = Verified(NEVER, start, none, 0, steps)
     weighed = none

@@ -92,7 +92,7 @@ def neighbours_of(pole: int, stars: Stars, search: Search, t: SearchTables) -> _
     return _Neighbours(star, t.bin_start[low], t.bin_start[high + 1])
 
 
-def vote_about(pole: int, seen: Sight, stars: Stars, search: Search, t: SearchTables) -> Candidates:
+def vote_about(pole: int, seen: Sight, stars: Stars, search: Search, left: int, t: SearchTables) -> Candidates:
     """Guide stars that an observed star and one of its neighbours may be.
 
     Parameters
@@ -100,18 +100,30 @@ def vote_about(pole: int, seen: Sight, stars: Stars, search: Search, t: SearchTa
     pole : int
     seen, stars : Sight, Stars
     search : Search
+    left : int
+        Steps after which no further pass is begun.
     t : SearchTables
     """
+    none = np.empty((0, 5), np.int64)
     near = neighbours_of(pole, stars, search, t)
     if len(near.star) < search.need:
-        return Candidates(np.empty((0, 5), np.int64), 0)
+        return Candidates(none, 0)
     votes = _votes(pole, near, seen, t)
     counts = np.minimum(np.bincount(votes[:, 2], minlength=len(t.guide)), MOST_COUNT)
     need = _enough(counts, search.need)
     looked = int((near.high - near.low).sum())
-    steps = len(t.guide) + 2 * looked * (1 + _slices(counts, need))
-    rows, compared = _agreeing(pole, votes[counts[votes[:, 2]] >= need], near, seen, stars, search, t)
-    return Candidates(rows, steps + 4 * compared)
+    steps, found, begin = len(t.guide) + 2 * looked, [none], 0
+    total = np.cumsum(np.where(counts >= need, counts, 0))
+    kept = 0
+    while kept < int(total[-1]) and steps <= left:
+        end = int(np.searchsorted(total, kept + MOST_VOTES, side="right"))
+        kept = int(total[end - 1])
+        some = votes[(counts[votes[:, 2]] >= need) & (votes[:, 2] >= begin) & (votes[:, 2] < end)]
+        rows, compared = _agreeing(pole, some, near, seen, stars, search, t)
+        found.append(rows)
+        steps, begin = steps + 2 * looked + 4 * compared, end
+    rows = np.concatenate(found)
+    return Candidates(rows[np.argsort(-rows[:, 4], kind="stable")][:MOST_CANDIDATES], steps)
 
 
 def _enough(counts: IntArray, need: int) -> int:
@@ -119,16 +131,6 @@ def _enough(counts: IntArray, need: int) -> int:
     number = np.bincount(counts, minlength=MOST_COUNT + 1)
     beyond = np.cumsum((number * np.arange(MOST_COUNT + 1))[::-1])[::-1]
     return int(np.flatnonzero(beyond[need:] <= MOST_KEPT)[0]) + need if beyond[-1] <= MOST_KEPT else MOST_COUNT + 1
-
-
-def _slices(counts: IntArray, need: int) -> int:
-    """Number of passes over the pairs that keep the votes, each for as many guide stars as there is room for."""
-    total = np.cumsum(np.where(counts >= need, counts, 0))
-    slices, kept = 0, 0
-    while kept < int(total[-1]):
-        kept = int(total[np.searchsorted(total, kept + MOST_VOTES, side="right") - 1])
-        slices += 1
-    return slices
 
 
 def _votes(pole: int, near: _Neighbours, seen: Sight, t: SearchTables) -> IntArray:
@@ -150,7 +152,7 @@ def _votes(pole: int, near: _Neighbours, seen: Sight, t: SearchTables) -> IntArr
 def _agreeing(
     pole: int, votes: IntArray, near: _Neighbours, seen: Sight, stars: Stars, search: Search, t: SearchTables
 ) -> tuple[IntArray, int]:
-    """Candidates (K, 5), the best of each guide star, and the votes compared."""
+    """Candidates (K, 5), the best of each guide star, ascending, and the votes compared."""
     order = np.argsort(votes[:, 2], kind="stable")
     sorted_ = votes[order]
     sorted_ = sorted_[np.arange(len(order)) - np.searchsorted(sorted_[:, 2], sorted_[:, 2]) < MOST_COUNT]
@@ -178,7 +180,6 @@ def _agreeing(
     # of each guide star the vote with most agreeing ones, of equal ones that of the farthest neighbour
     best = good[np.lexsort((good, -sorted_[good, 0], -agreeing[good], sorted_[good, 2]))]
     best = best[np.unique(sorted_[best, 2], return_index=True)[1]]
-    best = best[np.lexsort((sorted_[best, 2], -agreeing[best]))][:MOST_CANDIDATES]
     columns = near.star[sorted_[best, 0]], sorted_[best, 2], sorted_[best, 1], near.star[with_[best]], agreeing[best]
     return np.stack(columns, axis=1), compared
 

@@ -18,6 +18,7 @@
 
 #include "tracker_types.h"
 
+#include "tracker_front.h"
 #include "tracker_pose.h"
 #include "tracker_search.h"
 
@@ -31,6 +32,7 @@ struct tracker_context {
     struct tracker_star star[TRACKER_MAX_STARS];         /* brightest first */
     struct tracker_vector direction[TRACKER_MAX_STARS];  /* of each, camera axes */
     union {
+        struct tracker_front front;
         struct tracker_search search;
         struct tracker_pose pose;
     } work;
@@ -40,6 +42,12 @@ struct tracker_context {
  *
  * info     what is known of it; copied. A velocity is at most 2^-10 of that of light on each axis. */
 void tracker_start(struct tracker_context *context, const struct tracker_frame_info *info);
+
+/* The next row of TRACKER_WIDTH pixels, DN, the top one first. Rows beyond TRACKER_HEIGHT are ignored. */
+void tracker_row(struct tracker_context *context, const uint16_t *row);
+
+/* End of a frame: its stars, their identification, the attitude; filled in every case. The stars remain in the context. */
+void tracker_finish(struct tracker_context *context, struct tracker_answer *answer);
 
 /* Identification and attitude of a list of stars in place of a frame, after tracker_start.
  *

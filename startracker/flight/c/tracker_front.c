@@ -151,19 +151,13 @@ static void list_points(struct tracker_front *front, struct tracker_star *list, 
         star.y = (int32_t)((int64_t)candidate->y * 65536 + fit->y);
         star.flux = fit->flux;
         star.variance = with_floor(variance);
-        star.flags = measures->trail_x != 0 || measures->trail_y != 0 ? TRACKER_ELONGATED : 0;
+        star.flags = (uint16_t)((fit->full ? TRACKER_SATURATED : 0)
+                                + (measures->trail_x != 0 || measures->trail_y != 0 ? TRACKER_ELONGATED : 0));
         keep_star(list, count, &star);
     }
 }
 
 /* ------------------------------------------------------------------ objects */
-
-static int is_at_border(const struct tracker_front_object *object)
-{
-    return object->left <= TRACKER_FRONT_REACH || object->top <= TRACKER_FRONT_REACH
-           || object->right >= TRACKER_WIDTH - TRACKER_FRONT_REACH - 1
-           || object->bottom >= TRACKER_HEIGHT - TRACKER_FRONT_REACH - 1;
-}
 
 static void keep_object_star(const struct tracker_front_object *object, int64_t variance, uint16_t flag,
                              struct tracker_star *list, int *count)
@@ -178,23 +172,24 @@ static void keep_object_star(const struct tracker_front_object *object, int64_t 
     keep_star(list, count, &star);
 }
 
-/* Objects with saturated pixels that have a star's size and shape. */
+/* Saturated stars that no fit measures. */
 static void list_saturated(const struct tracker_front *front, struct tracker_star *list, int *count)
 {
     const struct tracker_front_object *object;
-    int32_t moments[3], axes[2];
+    const struct tracker_front_fit *fit;
     int64_t bloomed;
-    int n;
+    int n, m, fitted;
 
     for (n = 0; n < front->objects; n++) {
         object = &front->object[n];
-        moments[0] = object->xx;
-        moments[1] = object->yy;
-        moments[2] = object->xy;
-        tracker_front_principal(moments, axes);
-        if (object->kind != TRACKER_FRONT_SATURATED || object->pixels > TRACKER_FRONT_MAX_PIXELS || object->light <= 0
-            || axes[1] < TRACKER_FRONT_SHARP || (int64_t)axes[0] * 256 > (int64_t)TRACKER_FRONT_AXIS_RATIO * axes[1]
-            || is_at_border(object))
+        fitted = 0;
+        for (m = 0; m < front->candidates; m++) {
+            fit = &front->work.measures.fit[m];
+            fitted = fitted
+                     || (fit->good && fit->full
+                         && tracker_front_boxed(&front->candidate[front->work.measures.order[m]], object));
+        }
+        if (!object->star || fitted)
             continue;
         bloomed = tracker_square_root((int64_t)(object->xx > 0 ? object->xx : 0) << 8)
                   - tracker_square_root((int64_t)(object->yy > 0 ? object->yy : 0) << 8);
@@ -205,7 +200,7 @@ static void list_saturated(const struct tracker_front *front, struct tracker_sta
 
 static int is_trail(const struct tracker_front_object *object)
 {
-    return object->kind == TRACKER_FRONT_LONG && !is_at_border(object);
+    return object->kind == TRACKER_FRONT_LONG && !tracker_front_at_border(object);
 }
 
 /* The middle one of a moment of the trails: 0 is xx, 1 yy, 2 xy. */

@@ -384,7 +384,7 @@ static void run_row(struct tracker_search *search, const int32_t *row)
                 search->cut_short = 1;
             return;
         }
-        tracker_vote_about(search, pole, row);
+        tracker_vote_about(search, pole, row, most);
         for (k = 0; k < search->work.votes.candidates; k++) {
             if (search->steps > most || beyond(search, SURE_BEYOND))
                 break;

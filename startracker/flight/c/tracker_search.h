@@ -107,8 +107,9 @@ int64_t tracker_weigh(struct tracker_search *search, int64_t log_normal, int *wi
 void tracker_verify(struct tracker_search *search, const struct tracker_matrix *start, int gates,
                     struct tracker_hypothesis *found);
 
-/* tracker_votes.c: candidates of a pole under a row of tracker_search_row, those with most votes first; counts its steps. */
-void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row);
+/* tracker_votes.c: candidates of a pole under a row of tracker_search_row, those with most votes first; counts its steps, and
+ * begins no further pass over the pairs beyond `most` of them. */
+void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row, int64_t most);
 int tracker_side_of(int i, int j); /* number of a pair of different stars */
 
 /* Columns of tracker_search_row. */

@@ -273,7 +273,7 @@ static int64_t examine(struct tracker_search *search, int pole, int at, const in
     return (int64_t)(end - begin) * (end - begin - 1);
 }
 
-void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row)
+void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row, int64_t most)
 {
     struct tracker_votes *votes = &search->work.votes;
     int64_t looked;
@@ -286,7 +286,7 @@ void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *
     looked = count_votes(search, votes, pole);
     need = enough_votes(votes, row[TRACKER_ROW_NEED]);
     search->steps += TRACKER_SEARCH_GUIDES + 2 * looked;
-    for (;;) {
+    while (search->steps <= most) {
         from = elect(votes, from, need, &elected);
         if (elected == 0)
             return;
