@@ -28,8 +28,8 @@ class ProgramAnswer(NamedTuple):
     status: str
     reason: str
     counts: dict[str, int]
-    """``stars``, ``matched``, ``used``, ``evidence``, ``chance``, ``steps``, ``contradicted``; in a sequence ``filter``.
-    """
+    """``stars``, ``matched``, ``used``, ``evidence``, ``chance``, ``steps``, ``contradicted``; of a sequence
+    ``filter``."""
     quaternion: tuple[int, ...] = ()
     """x, y, z, w of 2.30; empty unless solved, as all that follows."""
     covariance: tuple[int, ...] = ()
