@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
-from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings, TrackingSettings
+from startracker.tracking.mekf import GyroNoise, RateNoise
 
 ARITHMETICS = ("fixed", "float")
 IDENTIFIERS = ("adaptive", "triads")
@@ -55,6 +56,9 @@ class FlightDesign:
         ``fixed``: integers only; ``float``: attitudes and directions in single precision.
     identifier : str
         ``adaptive`` or ``triads``.
+    motion : RateNoise or GyroNoise
+        Motion of the camera between frames, for the tracking.
+    tracking : TrackingSettings
     name : str
         Of the scenario, for the version in the object.
     digest : str
@@ -75,6 +79,8 @@ class FlightDesign:
     identification: IdentificationSettings = field(default_factory=IdentificationSettings)
     arithmetic: str = "fixed"
     identifier: str = "adaptive"
+    motion: RateNoise | GyroNoise = field(default_factory=RateNoise)
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
     name: str = ""
     digest: str = ""
 

@@ -21,6 +21,7 @@ from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header
 from startracker.fixed_point.export_c import CExport
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants
+from startracker.flight.following import FOLLOWING_MODULES, following_arrays, following_constants, following_tables
 from startracker.flight.front_tables import FRONT_MODULES, front_arrays, front_constants
 from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants
 from startracker.flight.search_export import SEARCH_MODULES, search_arrays, search_constants
@@ -66,11 +67,13 @@ def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
 def flight_parts(tracker: FlightTracker) -> list[Part]:
     """What the stages of a tracker give."""
     front, grid, search, pose = tracker.front_tables, tracker.grid, tracker.search_tables, tracker.pose_tables
+    following = following_tables(tracker.design.motion, tracker.design.tracking)
     return [
         Part(FRONT_MODULES, front_constants(front), front_arrays(front)),
         Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),
         Part(SEARCH_MODULES, search_constants(search), search_arrays(search)),
         Part(POSE_MODULES, pose_constants(pose), pose_arrays(pose)),
+        Part(FOLLOWING_MODULES, following_constants(following), following_arrays(following)),
         Part(("solver", "frame"), {"SATURATED_PART": SATURATED_PART}, []),
     ]
 
