@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from startracker.camera import Camera
@@ -12,6 +13,9 @@ from startracker.tracking.mekf import GyroNoise, RateNoise
 
 ARITHMETICS = ("fixed", "float")
 IDENTIFIERS = ("adaptive", "triads")
+COARSEST_PIXEL_DEG = 0.12
+"""Largest pixels: the product of the largest variance of a position and the square of a pixel's angle must fit into 63
+bits."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ class FlightDesign:
     Raises
     ------
     InputError
-        For an unknown arithmetic or identifier.
+        For an unknown arithmetic or identifier, or a camera with pixels above `COARSEST_PIXEL_DEG`.
     """
 
     camera: Camera
@@ -84,3 +88,8 @@ class FlightDesign:
         for key, known in (("arithmetic", ARITHMETICS), ("identifier", IDENTIFIERS)):
             if getattr(self, key) not in known:
                 raise InputError(f"{key} must be {' or '.join(known)}; got {getattr(self, key)!r}")
+        pixel_deg = math.degrees(self.camera.pixel_rad)
+        if pixel_deg > COARSEST_PIXEL_DEG:
+            raise InputError(
+                f"a flight build needs pixels of at most {COARSEST_PIXEL_DEG}°, the camera's are {pixel_deg:.2f}°"
+            )
