@@ -11,6 +11,7 @@ The C source (`c/tracker_following.c`) performs the same operations in the same 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,9 +37,10 @@ from startracker.tracking.mekf import GyroNoise, RateNoise
 FOLLOWING_MODULES = ("integers", "arithmetic", "linear", "directions", "attitude_filter", "following")
 TIME_GOOD, TIME_BAD, TIME_SET_BACK = range(3)
 """Results of `Following.predict`: the time can be used; it cannot; the clock was set back, and the filter forgotten."""
-BEGUN, USED, DISTRUSTED, REJECTED, RESTARTED = range(5)
+BEGUN, USED, DISTRUSTED, REJECTED, RESTARTED, COASTING = range(6)
 """Results of `Following.update`: the filter begins; the attitude was used; it was used after the uncertainty of a
-contradicted filter was increased; it contradicts the prediction and was not used; the filter restarted from it."""
+contradicted filter was increased; it contradicts the prediction and was not used; the filter restarted from it. And of
+a frame without an attitude: the filter only predicts."""
 RADIUS_BITS = 28
 """Fraction bits of the radius of a prior, radians."""
 PSD_BITS, LIMIT_BITS, COVARIANCE_BITS = 20, 16, 60
@@ -168,14 +170,14 @@ class Following:
         self._rejected = 0
 
     # ------------------------------------------------------------------ prediction
-    def predict(self, time_us: int, gyro: Integers | None = None) -> int:
+    def predict(self, time_us: int, gyro: Sequence[int] | None = None) -> int:
         """Propagate to the middle of a frame's exposure.
 
         Parameters
         ----------
         time_us : int
             Microseconds of a uniform clock.
-        gyro : int array, shape (3,), optional
+        gyro : three integers, optional
             Mean measured rate since the last frame, camera axes, rad/s of 2.30; ignored without a gyro.
         """
         status = self._check(time_us)

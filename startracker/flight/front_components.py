@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from startracker.arrays import IntArray
+from startracker.arrays import BoolArray, IntArray
 from startracker.flight.front_background import at_columns, square_root
 from startracker.flight.front_rows import Searched
 from startracker.flight.front_tables import OBJECTS, FrontTables
@@ -102,3 +102,19 @@ def find_objects(searched: Searched, tables: FrontTables) -> Objects:
     noise = at_columns(searched.lines.noise, tables, y[first[kept]], x[first[kept]])
     x16, y16, xx, yy, xy = moments[:, kept]
     return Objects(kind[kept], key[kept], x16, y16, xx, yy, xy, pixels[kept], noise, box[kept])
+
+
+def saturated_stars(objects: Objects, tables: FrontTables) -> BoolArray:
+    """Which objects with saturated pixels have a star's size and shape."""
+    major, minor = major_variance(objects.xx, objects.yy, objects.xy)
+    star = (objects.kind == SATURATED) & (objects.pixels <= tables.max_pixels) & (objects.light > 0)
+    star &= (minor >= tables.sharp) & (major << 8 <= tables.axis_ratio * minor) & ~at_border(objects, tables)
+    return np.asarray(star)
+
+
+def at_border(objects: Objects, tables: FrontTables) -> BoolArray:
+    """Which objects reach the border of the searched part of the frame."""
+    reach, (left, right, top, bottom) = len(tables.tap) - 1, objects.box.T
+    return np.asarray(
+        (left <= reach) | (top <= reach) | (right >= tables.width - reach - 1) | (bottom >= tables.height - reach - 1)
+    )

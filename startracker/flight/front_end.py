@@ -24,12 +24,11 @@ from numpy.typing import ArrayLike
 from startracker.arrays import BoolArray, IntArray
 from startracker.errors import InputError
 from startracker.flight.front_background import square_root
-from startracker.flight.front_components import LONG, SATURATED, Objects, find_objects, major_variance
-from startracker.flight.front_fit import Fits, fit_stars, misfit_variance
+from startracker.flight.front_components import LONG, Objects, at_border, find_objects, saturated_stars
+from startracker.flight.front_fit import Fits, fit_beside, fit_stars, misfit_variance
 from startracker.flight.front_rows import Candidates, find_candidates, search_rows
 from startracker.flight.front_stamps import (
-    Trail,
-    frame_trail,
+    frame_image,
     measure_shapes,
     parts_of_trails,
     select_candidates,
@@ -42,6 +41,11 @@ __all__ = ["FrontFrame", "FrontTables", "front_arrays", "front_constants", "fron
 
 _APART = 2 << 16
 """Fits nearer than this along both axes are of one star."""
+_NEAR_PEAK = 3 << 14
+"""From its highest pixel the image of a star is no farther along an axis, 3/4 px; its first moment may be, beside
+another star."""
+_ROUNDS = 3
+"""Of fits with the neighbours' light taken off."""
 _FLAT_TOP = 167772
 """0.05² px², as of `startracker.centroid.window`, 26 fraction bits."""
 _TRAIL_ENDS = 671089
@@ -85,14 +89,23 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
     searched = search_rows(pixels, tables)
     found, objects = find_candidates(searched, tables), find_objects(searched, tables)
     shapes = measure_shapes(found, tables)
-    good = select_candidates(found, objects)
-    trail = frame_trail(found, shapes, good, tables)
-    good &= shapes.valid & ~shapes.sharp & ~parts_of_trails(found, trail)
-    fits = fit_stars(found, shapes, trail, tables)
+    full = saturated_stars(objects, tables)
+    good, owned = select_candidates(found, objects, full)
+    shared = frame_image(found, shapes, good, tables)
+    good &= shapes.valid & ~shapes.sharp & ~parts_of_trails(found, shared)
+    near = np.where(owned.any(axis=1) | shared.moved, 1 << 30, _NEAR_PEAK)
+    start = np.clip(shapes.x, -near, near), np.clip(shapes.y, -near, near)
+    fits = fit_stars(found, start, np.zeros_like(found.stamp), shared, tables)
     fits = fits._replace(star=_alone(found, fits, good & fits.star))
-    stars = _listed(found, fits, trail, objects, tables)
-    full = int(np.count_nonzero(pixels >= tables.saturation))
-    return FrontFrame(stars, full, int(pixels.min()), int(pixels.max()))
+    for _ in range(_ROUNDS):
+        fits = fit_beside(found, fits, shared, tables)
+    full &= ~owned[fits.star].any(axis=0)
+    flags = np.where(owned.any(axis=1), SATURATED_STAR, 0) + (ELONGATED if shared.moved else 0)
+    x, y = (found.x << 16) + fits.x, (found.y << 16) + fits.y
+    points = StarList(x, y, fits.flux, misfit_variance(fits, tables), flags).take(fits.star)
+    stars = _listed(points, _saturated_stars(objects, full, tables), objects, tables)
+    count = int(np.count_nonzero(pixels >= tables.saturation))
+    return FrontFrame(stars, count, int(pixels.min()), int(pixels.max()))
 
 
 def _alone(found: Candidates, fits: Fits, star: BoolArray) -> BoolArray:
@@ -105,23 +118,16 @@ def _alone(found: Candidates, fits: Fits, star: BoolArray) -> BoolArray:
     return star
 
 
-def _listed(found: Candidates, fits: Fits, trail: Trail, objects: Objects, tables: FrontTables) -> StarList:
+def _listed(points: StarList, full: StarList, objects: Objects, tables: FrontTables) -> StarList:
     """List of the stars, the brightest first."""
-    full = _saturated_stars(objects, tables)
-    trails = _trailed_stars(objects, int(np.count_nonzero(fits.star)), tables)
-    flags = np.full(len(fits.x), 0 if trail == (0, 0) else ELONGATED)
-    x, y = (found.x << 16) + fits.x, (found.y << 16) + fits.y
-    points = StarList(x, y, fits.flux, misfit_variance(fits, tables), flags).take(fits.star)
-    parts = (full, trails) if len(trails.x) else (full, points)
+    trails = _trailed_stars(objects, len(points.x), tables)
+    parts = (full, trails if len(trails.x) else points)
     stars = StarList(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     return stars.take(np.lexsort((stars.x, stars.y, -stars.flux))[: tables.max_stars])
 
 
-def _saturated_stars(objects: Objects, tables: FrontTables) -> StarList:
-    """Objects with saturated pixels that have a star's size and shape."""
-    major, minor = major_variance(objects.xx, objects.yy, objects.xy)
-    star = (objects.kind == SATURATED) & (objects.pixels <= tables.max_pixels) & (objects.light > 0)
-    star &= (minor >= tables.sharp) & (major << 8 <= tables.axis_ratio * minor) & ~_at_border(objects, tables)
+def _saturated_stars(objects: Objects, star: BoolArray, tables: FrontTables) -> StarList:
+    """Saturated stars that no fit measures, by their first moments."""
     widths = [square_root(np.maximum(variance, 0) << 8) for variance in (objects.xx, objects.yy)]
     bloomed = (widths[0] - widths[1]) >> 2
     variance = np.minimum((bloomed * bloomed << 10) + _FLAT_TOP + tables.floor, MOST_VARIANCE)
@@ -130,7 +136,7 @@ def _saturated_stars(objects: Objects, tables: FrontTables) -> StarList:
 
 def _trailed_stars(objects: Objects, points: int, tables: FrontTables) -> StarList:
     """Trails of one motion, where they are so many that they are the stars; else none."""
-    long = (objects.kind == LONG) & ~_at_border(objects, tables)
+    long = (objects.kind == LONG) & ~at_border(objects, tables)
     count = int(np.count_nonzero(long))
     trace, s = np.minimum(objects.xx + objects.yy, _LARGEST_TRACE), np.maximum(objects.light, 1)
     ratio = np.minimum((objects.noise << 12) // s, 1 << 14)
@@ -142,13 +148,6 @@ def _trailed_stars(objects: Objects, points: int, tables: FrontTables) -> StarLi
     middle = [int(np.sort(column[long])[count // 2]) for column in moments]
     off = np.abs([column - value for column, value in zip(moments, middle, strict=True)]).max(axis=0)
     return _stars_of(objects, variance, ELONGATED).take(long & (10 * off <= 3 * (middle[0] + middle[1])))
-
-
-def _at_border(objects: Objects, tables: FrontTables) -> BoolArray:
-    reach, (left, right, top, bottom) = len(tables.tap) - 1, objects.box.T
-    return np.asarray(
-        (left <= reach) | (top <= reach) | (right >= tables.width - reach - 1) | (bottom >= tables.height - reach - 1)
-    )
 
 
 def _stars_of(objects: Objects, variance: IntArray, flag: int) -> StarList:

@@ -12,12 +12,14 @@ import numpy as np
 from startracker.arrays import BoolArray, IntArray
 from startracker.flight.front_background import square_root
 from startracker.flight.front_rows import Candidates
-from startracker.flight.front_stamps import Shapes, Trail, inside_frame
+from startracker.flight.front_stamps import StarImage, inside_frame
 from startracker.flight.front_tables import HALF, FrontTables
 from startracker.flight.stars import MOST_VARIANCE
 
 ITERATIONS = 8
-_NODES = 4
+_NODES = 8
+_NEIGHBOUR = 10
+"""Pixels along each axis within which the light of another star is taken off."""
 _LONGEST_STEP = 1 << 15
 _FARTHEST = 5 << 15
 """From the middle of the stamp, 16 fraction bits."""
@@ -62,10 +64,10 @@ def _thirty_bits(rows: IntArray) -> tuple[IntArray, IntArray]:
     return rows >> shift, shift
 
 
-def _profiles(offset: IntArray, tables: FrontTables) -> tuple[IntArray, IntArray]:
+def _profiles(offset: IntArray, inverse: int, tables: FrontTables) -> tuple[IntArray, IntArray]:
     """Shares (N, 11) of the pixels of an axis and their slopes, 15 fraction bits, of images at offsets (N,)."""
     edge = (np.arange(-HALF, HALF + 2) << 16) - 32768 - offset[:, None]
-    away, last = np.abs(edge), len(tables.profile) - 1
+    away, last = (np.abs(edge) * inverse) >> 12, len(tables.profile) - 1
     index, part = np.minimum(away >> 10, last - 1), away & 1023
     beyond = away >> 10 >= last
 
@@ -73,19 +75,19 @@ def _profiles(offset: IntArray, tables: FrontTables) -> tuple[IntArray, IntArray
         inner = (table[index] * (1024 - part) + table[index + 1] * part) >> 10
         return np.asarray(np.where(beyond, table[last], inner))
 
-    integral, density = np.sign(edge) * interpolated(tables.profile), interpolated(tables.density)
+    integral = np.sign(edge) * interpolated(tables.profile)
+    density = (interpolated(tables.density) * inverse) >> 12
     return np.diff(integral, axis=1), density[:, :-1] - density[:, 1:]
 
 
-def _images(x: IntArray, y: IntArray, trail: Trail, tables: FrontTables) -> tuple[IntArray, IntArray, IntArray]:
+def _images(x: IntArray, y: IntArray, shared: StarImage, tables: FrontTables) -> tuple[IntArray, IntArray, IntArray]:
     """Image and its slopes along x and y in the pixels of stamps (N, 11, 11), 15 fraction bits."""
-    moved = trail != (0, 0)
-    nodes, less = (_NODES, 2) if moved else (1, 0)
+    nodes, less = (_NODES, 3) if shared.moved else (1, 0)
     image, slope_x, slope_y = np.zeros((3, len(x), 2 * HALF + 1, 2 * HALF + 1), np.int64)
     for node in range(nodes):
         steps = 2 * node - nodes + 1
-        share_x, rise_x = _profiles(x + (steps * trail.x >> 1), tables)
-        share_y, rise_y = _profiles(y + (steps * trail.y >> 1), tables)
+        share_x, rise_x = _profiles(x + (steps * shared.trail_x >> 1), shared.inverse_x, tables)
+        share_y, rise_y = _profiles(y + (steps * shared.trail_y >> 1), shared.inverse_y, tables)
         image += (share_x[:, None, :] * share_y[:, :, None]) >> less
         slope_x += (rise_x[:, None, :] * share_y[:, :, None]) >> less
         slope_y += (share_x[:, None, :] * rise_y[:, :, None]) >> less
@@ -120,21 +122,22 @@ def _sums(weight: IntArray, *factors: IntArray) -> IntArray:
     return np.asarray(product.sum(axis=(1, 2)))
 
 
-def fit_stars(found: Candidates, shapes: Shapes, trail: Trail, tables: FrontTables) -> Fits:
+def fit_stars(
+    found: Candidates, start: tuple[IntArray, IntArray], other: IntArray, shared: StarImage, tables: FrontTables
+) -> Fits:
     """Fisher scoring in flux, x and y over a window, a fixed number of steps.
 
-    Each step solves for x and y with the flux marginalised, and for the flux alone: the solution of both is that of
-    greatest likelihood.
+    `start` are positions from the middle of each stamp, 16 fraction bits; `other` (N, 11, 11) is light of other stars,
+    DN of 4 fraction bits. Each step solves for x and y with the flux marginalised, and for the flux alone: the solution
+    of both is that of greatest likelihood.
     """
-    half = HALF if trail != (0, 0) else tables.fit_half
-    middle = np.abs(np.arange(-HALF, HALF + 1)) <= half
-    window = inside_frame(found, tables) & middle & middle[:, None]
-    data = np.where(window, (found.stamp << 4) - (found.level >> 4)[:, None, None], 0)
-    noise, x, y = _noise_of(found, tables), shapes.x, shapes.y
+    window = _window(found, shared.half, tables)
+    data = np.where(window, (found.stamp << 4) - (found.level >> 4)[:, None, None] - other, 0)
+    noise, (x, y) = _noise_of(found, tables), start
     flux, used, longest = np.full(len(x), _LEAST_FLUX), window.sum(axis=(1, 2)), np.zeros(len(x), np.int64)
     good = used > 3
     for step in range(ITERATIONS + 1):
-        image, slope_x, slope_y = (np.where(window, part, 0) for part in _images(x, y, trail, tables))
+        image, slope_x, slope_y = (np.where(window, part, 0) for part in _images(x, y, shared, tables))
         if step == 0:
             flux = _start_flux(image, data)
         light = (flux[:, None, None] * image) >> 15
@@ -164,8 +167,34 @@ def fit_stars(found: Candidates, shapes: Shapes, trail: Trail, tables: FrontTabl
     good &= (longest <= _CONVERGED) & (np.maximum(np.abs(x), np.abs(y)) <= _FARTHEST)
     variance = _variance(found, flux, (xx + yy, determinant, scale))
     chi2, alone = _misfits(data, left, weight, noise)
-    good &= (alone + _HOT_ODDS >= chi2) & (variance <= tables.image_variance)
+    good &= (alone + _HOT_ODDS >= chi2) & (variance <= shared.variance << 18)
     return Fits(x, y, flux, variance, chi2, used - 3, good)
+
+
+def fit_beside(found: Candidates, fits: Fits, shared: StarImage, tables: FrontTables) -> Fits:
+    """Fits of stars that have neighbours, with the neighbours' light taken off, as fitted before; the others stay."""
+    near = (np.abs(found.x[:, None] - found.x) <= _NEIGHBOUR) & (np.abs(found.y[:, None] - found.y) <= _NEIGHBOUR)
+    one, two = np.nonzero(near & fits.star[:, None] & fits.star & ~np.eye(len(found.x), dtype=np.bool_))
+    if not len(one):
+        return fits
+    x = (found.x[two] - found.x[one] << 16) + fits.x[two]
+    y = (found.y[two] - found.y[one] << 16) + fits.y[two]
+    other = np.zeros(found.stamp.shape, np.int64)
+    np.add.at(other, one, (fits.flux[two, None, None] * _images(x, y, shared, tables)[0]) >> 15)
+    again, beside = fit_stars(found, (fits.x, fits.y), other, shared, tables), np.isin(np.arange(len(found.x)), one)
+    return Fits(*(np.where(beside, new, old) for new, old in zip(again, fits, strict=True)))
+
+
+def _window(found: Candidates, half: int, tables: FrontTables) -> BoolArray:
+    """Pixels (N, 11, 11) of the fits; of saturated stars, whose windows are whole stamps, those below 0.9 of the
+    highest above the background, as each pixel has its own full well."""
+    away = np.abs(np.arange(-HALF, HALF + 1))
+    middle = (away <= half) & (away <= half)[:, None]
+    highest = found.stamp.max(axis=(1, 2), initial=0)
+    full = (highest >= tables.saturation)[:, None, None]
+    limit = found.level + 9 * ((highest << 8) - found.level) // 10
+    usable = np.where(full, found.stamp << 8 < limit[:, None, None], middle)
+    return np.asarray(inside_frame(found, tables) & usable)
 
 
 def _start_flux(image: IntArray, data: IntArray) -> IntArray:

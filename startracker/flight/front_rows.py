@@ -11,6 +11,8 @@ from startracker.arrays import BoolArray, IntArray
 from startracker.flight.front_background import Lines, at_columns, background_lines
 from startracker.flight.front_tables import HALF, HOT, RUNS, FrontTables
 
+_CORE = 2
+"""Half side of the pixels of which not all may be saturated: what is left of a stamp is too little for a fit."""
 _EXTENDED = 20, 7
 """A candidate is part of something extended if 7/20 of the border of its stamp are bright."""
 
@@ -108,11 +110,10 @@ def find_candidates(searched: Searched, tables: FrontTables) -> Candidates:
     tall = filtered[y, x] - ((tables.level_weight * level) >> 16)
     peak = (image[y, x] << 8) - level
     stamp, inside = _stamps(image, x, y)
-    star = (tall > 0) & (
-        stamp[:, HALF - 1 : HALF + 2, HALF - 1 : HALF + 2].max(axis=(1, 2), initial=0) < tables.saturation
-    )
+    core = stamp[:, HALF - _CORE : HALF + _CORE + 1, HALF - _CORE : HALF + _CORE + 1]
+    star = (tall > 0) & (core.min(axis=(1, 2), initial=65535) < tables.saturation)
     if tables.share:
-        star &= 4 * peak <= ((tables.share * tall) >> 16) + 12 * noise
+        star &= (image[y, x] >= tables.saturation) | (4 * peak <= ((tables.share * tall) >> 16) + 12 * noise)
     border = np.ones((2 * HALF + 1, 2 * HALF + 1), np.bool_)
     border[1:-1, 1:-1] = False
     bright = (stamp << 8) - level[:, None, None] > np.maximum(peak >> 2, 2 * noise)[:, None, None]

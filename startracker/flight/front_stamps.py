@@ -13,7 +13,7 @@ import numpy as np
 from startracker.arrays import BoolArray, IntArray
 from startracker.flight.front_components import Objects, major_variance
 from startracker.flight.front_rows import Candidates
-from startracker.flight.front_tables import HALF, SHAPE_VARIANCE_PX2, FrontTables
+from startracker.flight.front_tables import HALF, LEAST_IMAGE, MOST_IMAGE, SHAPE_VARIANCE_PX2, FrontTables
 
 _RECENTRINGS = 3
 _FARTHEST = 40
@@ -27,8 +27,13 @@ _MARGIN = 3
 _SHAPE_STARS, _FEWEST = 15, 3
 _WIDE = round(256 * SHAPE_VARIANCE_PX2)
 _WIDEST = _WIDE * 29 // 32
-_TRAILED = 38
-"""Difference of the principal variances, 8 fraction bits, from which an image is a trail: one of 1.3 px."""
+_TRAILED = 90
+"""Difference of the principal variances, 8 fraction bits, from which an image is moved along a line, of 2 px."""
+_LINE = 2169
+"""As a line is shorter than a Gaussian of its variance, the weight cuts less from it: a difference d is 1/(1 + d/8.5)
+times as large in px², to 3 % of the length for lines of 2 to 6 px (`tests/statistical/test_flight_front.py`)."""
+_PIXEL = (1 << 24) // 12
+"""Variance of a pixel, 24 fraction bits."""
 _ERROR = 1774
 """Standard error of a variance, 8 fraction bits, for a noise over signal of 1: √(π w s), w = 3, s = 5.1 px⁴."""
 
@@ -48,11 +53,32 @@ class Shapes(NamedTuple):
     """Whether narrower than any star."""
 
 
-class Trail(NamedTuple):
-    """Motion of the stars' images: four nodes apart by (x, y), 16 fraction bits; (0, 0): none."""
+class StarImage(NamedTuple):
+    """The image that the stars of a frame share: a Gaussian, or one moved along a line.
 
-    x: int
-    y: int
+    Parameters
+    ----------
+    trail_x, trail_y : int
+        Distance of its eight nodes, 16 fraction bits; (0, 0): it is not moved.
+    inverse_x, inverse_y : int
+        1/σ along both axes, 12 fraction bits.
+    half : int
+        Half side of the window of a fit.
+    variance : int
+        Mean of both axes, pixel included, square pixels, 8 fraction bits.
+    """
+
+    trail_x: int
+    trail_y: int
+    inverse_x: int
+    inverse_y: int
+    half: int
+    variance: int
+
+    @property
+    def moved(self) -> bool:
+        """Whether it is moved along a line."""
+        return (self.trail_x, self.trail_y) != (0, 0)
 
 
 def inside_frame(found: Candidates, tables: FrontTables) -> BoolArray:
@@ -62,8 +88,9 @@ def inside_frame(found: Candidates, tables: FrontTables) -> BoolArray:
     return np.asarray((rows >= 0) & (rows < tables.height) & (columns >= 0) & (columns < tables.width))
 
 
-def select_candidates(found: Candidates, objects: Objects) -> BoolArray:
-    """Candidates that are neither in the box of an object nor beside a higher one."""
+def select_candidates(found: Candidates, objects: Objects, full: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Candidates that are neither in the box of an object nor beside a higher one; and (N, K) of which saturated stars
+    (`full`) each is the image: those in whose boxes it is the highest."""
     dx, dy = found.x[:, None] - found.x, found.y[:, None] - found.y
     square = dx * dx + dy * dy
     higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
@@ -75,7 +102,9 @@ def select_candidates(found: Candidates, objects: Objects) -> BoolArray:
         & (y >= box[:, 2] - _MARGIN)
         & (y <= box[:, 3] + _MARGIN)
     )
-    return np.asarray(~(higher & beside).any(axis=1) & ~boxed.any(axis=1))
+    first = boxed & full & (np.cumsum(boxed, axis=0) == 1)
+    other = (boxed & ~first).any(axis=1)
+    return np.asarray(~(higher & beside).any(axis=1) & ~other), np.asarray(first & ~other[:, None])
 
 
 def measure_shapes(found: Candidates, tables: FrontTables) -> Shapes:
@@ -107,28 +136,47 @@ def measure_shapes(found: Candidates, tables: FrontTables) -> Shapes:
     return Shapes(x, y, xx, yy, xy, total > 0, sharp)
 
 
-def frame_trail(found: Candidates, shapes: Shapes, good: BoolArray, tables: FrontTables) -> Trail:
-    """The motion that the highest candidates share: by the medians of their second moments."""
+def frame_image(found: Candidates, shapes: Shapes, good: BoolArray, tables: FrontTables) -> StarImage:
+    """The image that the highest candidates share, by the medians of their second moments."""
     whole = inside_frame(found, tables).all(axis=(1, 2)) & (found.stamp.max(axis=(1, 2), initial=0) < tables.saturation)
     used = np.flatnonzero(good & whole & shapes.valid & ~shapes.sharp)[:_SHAPE_STARS]
     if len(used) < _FEWEST:
-        return Trail(0, 0)
+        return _gaussian(tables.image, tables.image, tables)
     xx, yy, xy = (int(np.sort(column[used])[len(used) // 2]) for column in (shapes.xx, shapes.yy, shapes.xy))
     seen = [int(axis[0]) for axis in major_variance(np.array([xx]), np.array([yy]), np.array([xy]))]
-    major, minor = (value * _WIDE // (_WIDE - value) for value in (min(max(value, 0), _WIDEST) for value in seen))
+    major, minor = _unweighted(seen[0]), _unweighted(seen[1])
     apart = major - minor
     if apart <= _TRAILED:
-        return Trail(0, 0)
+        return _gaussian(_unweighted(xx), _unweighted(yy), tables)
+    apart = apart * _LINE // (_LINE + apart)
     turned = apart * (xx - yy) // (seen[0] - seen[1])
-    along, across = (math.isqrt(max(2 * twice, 0) // 5 << 24) for twice in (apart + turned, apart - turned))
-    return Trail(along, across if xy >= 0 else -across)
+    along, across = (math.isqrt(max(2 * twice, 0) // 21 << 24) for twice in (apart + turned, apart - turned))
+    image = _gaussian(minor, minor, tables)
+    variance = minor + (apart >> 1)
+    return image._replace(trail_x=along, trail_y=across if xy >= 0 else -across, half=HALF, variance=variance)
 
 
-def parts_of_trails(found: Candidates, trail: Trail) -> BoolArray:
+def _unweighted(seen: int) -> int:
+    """Variance without the weight."""
+    value = min(max(seen, 0), _WIDEST)
+    return value * _WIDE // (_WIDE - value)
+
+
+def _gaussian(xx: int, yy: int, tables: FrontTables) -> StarImage:
+    """Image of these variances, pixel included, 8 fraction bits."""
+    xx, yy = (min(max(value, LEAST_IMAGE), MOST_IMAGE) for value in (xx, yy))
+    inverse_x, inverse_y = ((1 << 24) // math.isqrt((value << 16) - _PIXEL) for value in (xx, yy))
+    half = tables.fit_half
+    while half < HALF and 1024 * half * half < 25 * max(xx, yy):
+        half += 1
+    return StarImage(0, 0, inverse_x, inverse_y, half, (xx + yy) >> 1)
+
+
+def parts_of_trails(found: Candidates, image: StarImage) -> BoolArray:
     """Candidates that lie on the trail of a higher one."""
-    tx, ty = trail.x >> 8, trail.y >> 8
+    tx, ty = image.trail_x >> 8, image.trail_y >> 8
     dx, dy = found.x[:, None] - found.x, found.y[:, None] - found.y
     along, across, square = dx * tx + dy * ty, dx * ty - dy * tx, tx * tx + ty * ty
     higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
-    on_trail = (across * across <= 4 * square) & (np.abs(along) << 8 <= 4 * square)
+    on_trail = (across * across <= 4 * square) & (np.abs(along) << 8 <= 8 * square)
     return np.asarray((higher & on_trail).any(axis=1) & (square > 0))

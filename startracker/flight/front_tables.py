@@ -33,10 +33,13 @@ SHAPE_VARIANCE_PX2 = 3.0
 """Variance of the weight under which star images are measured: wider than images smeared by 5 px."""
 _SAMPLES = 128
 _LONGEST_REACH = 4
+SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX = 0.35, 2.2
+"""Of a star image along an axis: more does not fit in a stamp."""
 _PIXEL_VARIANCE = 1.0 / 12.0
-_FIT_WIDTHS = 2.5
 _PROFILE_REACH = 4.5
 _LONGEST_TIMES = 5
+LEAST_IMAGE, MOST_IMAGE = (round(256 * (s**2 + _PIXEL_VARIANCE)) for s in (SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX))
+"""Variances of these, pixel included, 8 fraction bits."""
 _SYSTEMATIC_PX = 0.001
 """As of `startracker.centroid.psf_fit`."""
 
@@ -79,17 +82,20 @@ class FrontTables(NamedTuple):
     seen_sharp : int
         The same under the weight `shape_weight`.
     profile, density : int array, shape (P,)
-        Integral from 0 (15 fraction bits) and density (15) of the star image along one axis, steps of 1/64 pixel.
+        Integral from 0 and density of the normal distribution, 15 fraction bits, steps of σ/64.
     shape_weight : int array
         Gaussian weight of measured shapes, 12 fraction bits, steps of 1/16 pixel.
     fit_half : int
-        Half side of the window of a fit.
+        Half side of the window of a fit, at least.
+    image : int
+        Variance of the star image along an axis where a frame has too few stars to measure it, pixel included, square
+        pixels, 8 fraction bits.
     gain : int
         2^44 over the gain.
     flat : int
         Flat-field error, 16 fraction bits.
-    image_variance, floor : int
-        Variance of the star image, and that added to each position's, square pixels, 26 fraction bits.
+    floor : int
+        Variance that is added to each position's, square pixels, 26 fraction bits.
     """
 
     width: int
@@ -114,9 +120,9 @@ class FrontTables(NamedTuple):
     density: IntArray
     shape_weight: IntArray
     fit_half: int
+    image: int
     gain: int
     flat: int
-    image_variance: int
     floor: int
 
 
@@ -126,13 +132,11 @@ def front_tables(design: FlightDesign) -> FrontTables:
     Raises
     ------
     InputError
-        A frame of less than 16 or more than 4096 pixels a side; a gain or star image out of range.
+        A frame of less than 16 or more than 4096 pixels a side; a gain out of range.
     """
     width, height, sigma = design.camera.width, design.camera.height, design.psf_sigma_px
     if min(width, height) < SMALLEST_SIDE or max(width, height) > LARGEST_SIDE:
         raise InputError(f"a flight build takes frames of 16 to 4096 pixels a side; the camera has {width} × {height}")
-    if not 0.3 <= sigma <= 3.0:
-        raise InputError(f"a flight build takes star images of σ from 0.3 to 3 pixels; the design has {sigma:g}")
     if not 2.0**-6 <= design.detector.gain_e_per_dn <= 2.0**14:
         raise InputError(f"the gain is {design.detector.gain_e_per_dn:g} e/DN; a flight build takes 1/64 to 16384")
     detection, centroid = design.detection, design.centroid
@@ -143,7 +147,7 @@ def front_tables(design: FlightDesign) -> FrontTables:
     limit = min(SHARP_SHARE * (sigma**2 + _PIXEL_VARIANCE), WIDEST_TRACK_PX2)
     judged = detection.reject_hits and sigma**2 + _PIXEL_VARIANCE > SHARPEST_STARS_PX2
     seen = limit * SHAPE_VARIANCE_PX2 / (limit + SHAPE_VARIANCE_PX2)
-    step = np.arange(math.ceil(_PROFILE_REACH * sigma * 64) + 2) / 64.0 / sigma
+    step = np.arange(round(_PROFILE_REACH * 64) + 1) / 64.0
     distance = np.arange(16 * (HALF + 2) + 1) / 16.0
     variance = 1 << VARIANCE_BITS
     return FrontTables(
@@ -163,12 +167,12 @@ def front_tables(design: FlightDesign) -> FrontTables:
         round(256 * limit) if judged else 0,
         round(256 * seen) if judged else 0,
         np.rint((ndtr(step) - 0.5) * (1 << 15)).astype(np.int64),
-        np.rint(np.exp(-0.5 * step**2) / math.sqrt(2.0 * math.pi) / sigma * (1 << 15)).astype(np.int64),
+        np.rint(np.exp(-0.5 * step**2) / math.sqrt(2.0 * math.pi) * (1 << 15)).astype(np.int64),
         np.rint(4096.0 * np.exp(-0.5 * distance**2 / SHAPE_VARIANCE_PX2)).astype(np.int64),
-        min(max(centroid.window_px // 2, math.ceil(_FIT_WIDTHS * math.sqrt(sigma**2 + _PIXEL_VARIANCE))), HALF),
+        min(centroid.window_px // 2, HALF),
+        round(256 * (min(max(sigma, SMALLEST_SIGMA_PX), LARGEST_SIGMA_PX) ** 2 + _PIXEL_VARIANCE)),
         round(2.0**44 / design.detector.gain_e_per_dn),
         round(65536 * centroid.flat_field_error),
-        round(variance * (sigma**2 + _PIXEL_VARIANCE)),
         round(variance * (_SYSTEMATIC_PX**2 + centroid.camera_model_px**2)),
     )
 
@@ -212,6 +216,8 @@ def front_constants(tables: FrontTables) -> dict[str, int]:
         "KEPT": (BLOCK + max(HALF, reach + 1)) // BLOCK + 2,
         "KNOTS": tiles + 2,
         "WIDE": round(256 * SHAPE_VARIANCE_PX2),
+        "LEAST_IMAGE": LEAST_IMAGE,
+        "MOST_IMAGE": MOST_IMAGE,
         "HALF": HALF,
         "SIDE": 2 * HALF + 1,
         "LAG": BLOCK + max(HALF, reach + 1),
@@ -238,7 +244,7 @@ def front_arrays(tables: FrontTables) -> list[CTable]:
         CTable("int32_t", "front_inverse", "65536 / distance of the knots", tables.inverse),
         CTable("int32_t", "front_extend", "extrapolation to both borders, 16 fraction bits", tables.extend),
         CTable("int16_t", "front_tap", "matched filter from its middle outwards", tables.tap),
-        CTable("uint16_t", "front_profile", "integral of the star image from its middle, 1/64 px", tables.profile),
-        CTable("uint16_t", "front_density", "its density, 15 fraction bits", tables.density),
+        CTable("uint16_t", "front_profile", "integral of the normal distribution, steps of 1/64", tables.profile),
+        CTable("uint16_t", "front_density", "density of the normal distribution", tables.density),
         CTable("uint16_t", "front_shape_weight", "weight of measured shapes, 1/16 px", tables.shape_weight),
     ]

@@ -17,6 +17,7 @@ from startracker.errors import InputError
 from startracker.flight.directions import grid_arrays, grid_constants, grid_tables
 from startracker.flight.following import (
     BEGUN,
+    COASTING,
     FOLLOWING_MODULES,
     REJECTED,
     RESTARTED,
@@ -180,6 +181,21 @@ int tracker_following_bytes(void)
 {
     return (int)sizeof(struct tracker_following);
 }
+int tracker_take(struct tracker_following *f, int solved, struct tracker_matrix *attitude, int64_t covariance[3][3]);
+int tracker_take(struct tracker_following *f, int solved, struct tracker_matrix *attitude, int64_t covariance[3][3])
+{
+    struct tracker_answer answer;
+    int result, k;
+    answer.status = solved ? TRACKER_SOLVED : TRACKER_NO_MATCH;
+    answer.attitude = *attitude;
+    for (k = 0; k < 9; k++)
+        answer.covariance[k / 3][k % 3] = covariance[k / 3][k % 3];
+    result = (int)tracker_following_take(f, &answer);
+    *attitude = answer.attitude;
+    for (k = 0; k < 9; k++)
+        covariance[k / 3][k % 3] = answer.covariance[k / 3][k % 3];
+    return result;
+}
 """
 
 
@@ -203,6 +219,15 @@ class Built:
     def update(self, matrix, covariance):
         rows = (ctypes.c_int32 * 9)(*matrix.ravel().tolist())
         return self.lib.tracker_following_update(self.memory, rows, (ctypes.c_int64 * 9)(*covariance.ravel().tolist()))
+
+    def take(self, solved, matrix, covariance):
+        """Result, and attitude and covariance of the answer after it."""
+        rows, values = (
+            (ctypes.c_int32 * 9)(*matrix.ravel().tolist()),
+            (ctypes.c_int64 * 9)(*covariance.ravel().tolist()),
+        )
+        result = self.lib.tracker_take(self.memory, int(solved), rows, values)
+        return result, np.array(rows, np.int64).reshape(3, 3), np.array(values, np.int64).reshape(3, 3)
 
     def attitude(self):
         rows, covariance = (ctypes.c_int32 * 9)(), (ctypes.c_int64 * 9)()
@@ -272,3 +297,23 @@ def test_single_precision_is_close(tmp_path):
         for time_us, gyro, measured, covariance in steps(stream(7, "following", sequence), 60):
             if built.predict(time_us, gyro)[0] != TIME_BAD and measured is not None:
                 built.update(measured, covariance)
+
+
+@needs_gcc
+def test_an_answer_is_replaced_by_that_of_the_filter(tmp_path):
+    tables, rng = following_tables(NOISE), stream(8, "following")
+    built, python = Built(tmp_path, tables, "fixed"), Following(tables)
+    for k, matrix in enumerate(rate_sequence(rng, 1.0, 12)[0]):
+        away = Rotation.from_rotvec([0.02, 0.0, 0.0]).as_matrix() if k == 9 else np.eye(3)
+        measured = fixed(measured_from(rng, away @ matrix))
+        built.predict(200_000 * k, None)
+        python.predict(200_000 * k)
+        result, attitude, covariance = built.take(k != 6, measured, covariance_of())
+        assert result == (COASTING if k == 6 else python.update(measured, covariance_of()))
+        if result in (COASTING, REJECTED):
+            assert k in (6, 9)
+            assert np.array_equal(attitude, measured)
+            assert np.array_equal(covariance, covariance_of())
+        else:
+            assert np.array_equal(attitude, python.attitude)
+            assert np.array_equal(covariance, python.attitude_covariance)

@@ -217,8 +217,11 @@ def wild(guide, rng):
     given = frame(guide, rng, KINDS[int(rng.integers(len(KINDS)))])
     stars, n = given.stars, len(given.guide)
     some = rng.random(n) < 0.3
-    kind = int(rng.integers(6))
-    if kind == 0:
+    kind = int(rng.integers(9))
+    if kind >= 6:  # near the limit of the rejection
+        away = np.rint(65536 * rng.uniform(2.8, 4.2, n) * np.sqrt(stars.variance_px2)).astype(np.int64)
+        stars = stars._replace(x=np.where(some, stars.x + away, stars.x))
+    elif kind == 0:
         stars = stars._replace(x=np.where(some, rng.integers(-(2**31), 2**31, n), stars.x))
     elif kind == 1:
         stars = stars._replace(variance=rng.choice([0, 1, (1 << 32) - 1, 1 << 20], n))
@@ -257,7 +260,7 @@ def check_bits(built, guide, tables, rng, count):
 def test_c_and_python_are_the_same_bits(guide, tables, tmp_path):
     built = Built(tmp_path, tables, "fixed")
     assert len(built.memory) < 16_000
-    assert check_bits(built, guide, tables, stream(5, "pose"), 200) > 120
+    assert check_bits(built, guide, tables, stream(5, "pose"), 80) > 45
 
 
 @needs_gcc

@@ -12,11 +12,10 @@
 static float scaled(float x, int exponent)
 {
     int left = exponent < 0 ? -exponent : exponent;
-    float by = 1.0f;
 
     while (left > 0) {
         const int step = left < 30 ? left : 30;
-        by = (float)((int32_t)1 << step);
+        const float by = (float)((int32_t)1 << step);
         x = exponent < 0 ? x * (1.0f / by) : x * by;
         left -= step;
     }
@@ -178,7 +177,7 @@ tracker_real tracker_times(tracker_real a, tracker_real b)
 {
     const uint32_t x = (uint32_t)(a.m < 0 ? -a.m : a.m), y = (uint32_t)(b.m < 0 ? -b.m : b.m);
     const uint64_t product = (uint64_t)x * y;
-    const int shift = product >> (2 * BITS - 1) ? BITS : BITS - 1;
+    const int shift = (product >> (2 * BITS - 1)) != 0 ? BITS : BITS - 1;
 
     if (product == 0)
         return made(0, 0, 0);

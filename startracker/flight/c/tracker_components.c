@@ -150,18 +150,41 @@ static void keep_object(struct tracker_front *front, const struct tracker_front_
         front->object[last] = *object;
 }
 
+int tracker_front_at_border(const struct tracker_front_object *object)
+{
+    return object->left <= TRACKER_FRONT_REACH || object->top <= TRACKER_FRONT_REACH
+           || object->right >= TRACKER_WIDTH - TRACKER_FRONT_REACH - 1
+           || object->bottom >= TRACKER_HEIGHT - TRACKER_FRONT_REACH - 1;
+}
+
+/* Whether an object with these principal variances has a saturated star's size and shape. */
+static uint8_t is_star(const struct tracker_front_object *object, const int32_t axes[2])
+{
+    return object->kind == TRACKER_FRONT_SATURATED && object->pixels <= TRACKER_FRONT_MAX_PIXELS && object->light > 0
+           && axes[1] >= TRACKER_FRONT_SHARP && (int64_t)axes[0] * 256 <= (int64_t)TRACKER_FRONT_AXIS_RATIO * axes[1]
+           && !tracker_front_at_border(object);
+}
+
 /* A component that is complete: kept if no stamp holds it. */
 static void complete(struct tracker_front *front, const struct tracker_front_component *component)
 {
     int wide = component->right - component->left >= LONG_SIDE || component->bottom - component->top >= LONG_SIDE;
     struct tracker_front_object object;
-    int32_t moments[3], axes[2];
+    int32_t moments[3], axes[2] = {0, 0};
 
     if (!wide && component->saturated == 0 && component->pixels <= TRACKER_FRONT_LARGEST)
         return;
     object.light = component->sums.light;
     object.x = object.y = object.xx = object.yy = object.xy = 0;
-    object.kind = 0;
+    object.kind = object.star = 0;
+    object.pixels = component->pixels;
+    object.noise = component->noise;
+    object.first_x = component->first_x;
+    object.first_y = component->first_y;
+    object.left = component->left;
+    object.right = component->right;
+    object.top = component->top;
+    object.bottom = component->bottom;
     if (component->pixels > TRACKER_FRONT_LARGEST) {
         object.light = ((int64_t)1 << 40) + component->pixels;
         object.kind = TRACKER_FRONT_LARGE;
@@ -177,14 +200,7 @@ static void complete(struct tracker_front *front, const struct tracker_front_com
         else if (axes[0] > LONG_VARIANCE)
             object.kind = TRACKER_FRONT_LONG;
     }
-    object.pixels = component->pixels;
-    object.noise = component->noise;
-    object.first_x = component->first_x;
-    object.first_y = component->first_y;
-    object.left = component->left;
-    object.right = component->right;
-    object.top = component->top;
-    object.bottom = component->bottom;
+    object.star = is_star(&object, axes);
     if (object.kind > 0)
         keep_object(front, &object);
 }

@@ -165,7 +165,7 @@ int tracker_turn(struct tracker_matrix *attitude, int64_t x, int64_t y, int64_t 
 void tracker_quaternion_of(const struct tracker_matrix *attitude, int32_t quaternion[4])
 {
     int64_t m[3][3], q[4], square[4], length;
-    int k, at = 3, next, last;
+    int k, at = 3;
 
     for (k = 0; k < 3; k++)
         to_array(&attitude->row[k], m[k]);
@@ -181,8 +181,7 @@ void tracker_quaternion_of(const struct tracker_matrix *attitude, int32_t quater
         for (k = 0; k < 3; k++)
             q[k] = m[(k + 1) % 3][(k + 2) % 3] - m[(k + 2) % 3][(k + 1) % 3];
     } else {
-        next = (at + 1) % 3;
-        last = (at + 2) % 3;
+        const int next = (at + 1) % 3, last = (at + 2) % 3;
         q[at] = square[at];
         q[next] = m[at][next] + m[next][at];
         q[last] = m[at][last] + m[last][at];

@@ -4,7 +4,8 @@
 #define SIDE TRACKER_FRONT_SIDE
 #define HALF TRACKER_FRONT_HALF
 #define ITERATIONS 8
-#define NODES 4
+#define NODES 8
+#define NEIGHBOUR 10 /* pixels along each axis within which the light of another star is taken off */
 #define LONGEST_STEP (1 << 15)
 #define FARTHEST (5 << 15)
 #define CONVERGED (1 << 11)
@@ -19,6 +20,7 @@ struct fitted {
     struct tracker_front_measures *measures;
     int first, last;               /* columns and rows of the window in the stamp */
     int64_t photon, flat, square;  /* of the noise */
+    int64_t ceiling;               /* pixels from here on are left out, DN of 8 fraction bits */
     int32_t used;                  /* pixels */
 };
 
@@ -45,27 +47,38 @@ static int64_t limited(int64_t value, int64_t least, int64_t most)
     return value < least ? least : value > most ? most : value;
 }
 
+static int is_used(const struct fitted *fitted, int column, int row)
+{
+    return tracker_front_inside(fitted->candidate, column, row)
+           && (int64_t)fitted->candidate->stamp[row * SIDE + column] * 256 < fitted->ceiling;
+}
+
 /* ------------------------------------------------------------------ the star image */
 
-static int32_t entry(const uint16_t *table, int32_t away)
+static int32_t entry(const uint16_t *table, int64_t away)
 {
-    int32_t index = away >> 10, part = away & 1023;
+    int32_t index, part;
 
-    if (index >= TRACKER_FRONT_LAST_PROFILE)
+    if (away >= (int64_t)TRACKER_FRONT_LAST_PROFILE << 10)
         return table[TRACKER_FRONT_LAST_PROFILE];
+    index = (int32_t)(away >> 10);
+    part = (int32_t)(away & 1023);
     return ((int32_t)table[index] * (1024 - part) + (int32_t)table[index + 1] * part) >> 10;
 }
 
 /* Shares of the pixels of an axis in an image off the middle, and their slopes. */
-static void profile(int32_t offset, int32_t share[SIDE], int32_t slope[SIDE])
+static void profile(int32_t offset, int32_t inverse, int32_t share[SIDE], int32_t slope[SIDE])
 {
+    int64_t away;
     int32_t edge, integral, density, last_integral = 0, last_density = 0;
     int k;
 
     for (k = 0; k <= SIDE; k++) {
         edge = (k - HALF) * 65536 - 32768 - offset;
-        integral = edge < 0 ? -entry(tracker_front_profile, -edge) : entry(tracker_front_profile, edge);
-        density = entry(tracker_front_density, edge < 0 ? -edge : edge);
+        away = (tracker_magnitude(edge) * inverse) >> 12;
+        integral = entry(tracker_front_profile, away);
+        integral = edge < 0 ? -integral : integral;
+        density = (entry(tracker_front_density, away) * inverse) >> 12;
         if (k > 0) {
             share[k - 1] = integral - last_integral;
             slope[k - 1] = last_density - density;
@@ -80,13 +93,13 @@ static void make_images(const struct fitted *fitted, int32_t x, int32_t y)
 {
     struct tracker_front_measures *m = fitted->measures;
     int32_t share_x[SIDE], share_y[SIDE], slope_x[SIDE], slope_y[SIDE], steps;
-    int moved = m->trail_x != 0 || m->trail_y != 0, nodes = moved ? NODES : 1, less = moved ? 2 : 0;
+    int moved = m->trail_x != 0 || m->trail_y != 0, nodes = moved ? NODES : 1, less = moved ? 3 : 0;
     int node, i, j, k;
 
     for (node = 0; node < nodes; node++) {
         steps = 2 * node - nodes + 1;
-        profile(x + (int32_t)tracker_shift_right((int64_t)steps * m->trail_x, 1), share_x, slope_x);
-        profile(y + (int32_t)tracker_shift_right((int64_t)steps * m->trail_y, 1), share_y, slope_y);
+        profile(x + (int32_t)tracker_shift_right((int64_t)steps * m->trail_x, 1), m->inverse_x, share_x, slope_x);
+        profile(y + (int32_t)tracker_shift_right((int64_t)steps * m->trail_y, 1), m->inverse_y, share_y, slope_y);
         for (j = fitted->first; j <= fitted->last; j++)
             for (i = fitted->first; i <= fitted->last; i++) {
                 k = j * SIDE + i;
@@ -134,7 +147,7 @@ static void sum_pixels(const struct fitted *fitted, int32_t flux, struct normal 
         normal->score[k] = 0;
     for (j = fitted->first; j <= fitted->last; j++)
         for (i = fitted->first; i <= fitted->last; i++) {
-            if (!tracker_front_inside(fitted->candidate, i, j))
+            if (!is_used(fitted, i, j))
                 continue;
             k = j * SIDE + i;
             light = light_at(fitted, flux, k);
@@ -220,7 +233,7 @@ static int64_t misfits(const struct fitted *fitted, int32_t flux, int64_t *alone
 
     for (j = fitted->first; j <= fitted->last; j++)
         for (i = fitted->first; i <= fitted->last; i++) {
-            if (!tracker_front_inside(fitted->candidate, i, j))
+            if (!is_used(fitted, i, j))
                 continue;
             k = j * SIDE + i;
             light = light_at(fitted, flux, k);
@@ -236,16 +249,63 @@ static int64_t misfits(const struct fitted *fitted, int32_t flux, int64_t *alone
     return total / (8 * fitted->square);
 }
 
-/* Window, data and noise of a star, and its flux by unweighted least squares. */
+/* The window; of a saturated star the stamp without the pixels above 0.9 of its highest, as each has its own full well. */
+static void set_window(struct fitted *fitted)
+{
+    const struct tracker_front_candidate *c = fitted->candidate;
+    int half = fitted->measures->half, k;
+    uint16_t highest = 0;
+
+    for (k = 0; k < SIDE * SIDE; k++)
+        highest = c->stamp[k] > highest ? c->stamp[k] : highest;
+    fitted->ceiling = INT32_MAX;
+    if (highest >= TRACKER_FRONT_SATURATION) {
+        half = HALF;
+        fitted->ceiling = c->level + tracker_floor_quotient(9 * ((int64_t)highest * 256 - c->level), 10);
+    }
+    fitted->first = HALF - half;
+    fitted->last = HALF + half;
+}
+
+int tracker_front_neighbours(const struct tracker_front *front, int candidate, int other)
+{
+    const uint16_t *order = front->work.measures.order;
+    const struct tracker_front_candidate *a = &front->candidate[order[candidate]], *b = &front->candidate[order[other]];
+
+    return other != candidate && front->work.measures.neighbour[other].flux > 0 && a->x <= b->x + NEIGHBOUR
+           && b->x <= a->x + NEIGHBOUR && a->y <= b->y + NEIGHBOUR && b->y <= a->y + NEIGHBOUR;
+}
+
+/* The stamp's pixels above the background, without the light of the neighbours. */
+static void set_data(const struct tracker_front *front, const struct fitted *fitted, int candidate)
+{
+    struct tracker_front_measures *m = fitted->measures;
+    const struct tracker_front_candidate *c = fitted->candidate, *other;
+    const struct tracker_front_neighbour *neighbour;
+    int n, i, j;
+
+    for (n = 0; n < SIDE * SIDE; n++)
+        m->data[n] = (int32_t)c->stamp[n] * 16 - (int32_t)tracker_shift_right(c->level, 4);
+    for (n = 0; n < front->candidates; n++) {
+        if (!tracker_front_neighbours(front, candidate, n))
+            continue;
+        other = &front->candidate[m->order[n]];
+        neighbour = &m->neighbour[n];
+        make_images(fitted, (other->x - c->x) * 65536 + neighbour->x, (other->y - c->y) * 65536 + neighbour->y);
+        for (j = fitted->first; j <= fitted->last; j++)
+            for (i = fitted->first; i <= fitted->last; i++)
+                m->data[j * SIDE + i] -= light_at(fitted, neighbour->flux, j * SIDE + i);
+    }
+}
+
+/* Noise of a star, and its flux by unweighted least squares. */
 static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
 {
     struct tracker_front_measures *m = fitted->measures;
     const struct tracker_front_candidate *c = fitted->candidate;
-    int half = m->trail_x != 0 || m->trail_y != 0 ? HALF : TRACKER_FRONT_FIT_HALF, i, j, k;
+    int i, j, k;
     int64_t above = 0, below = 0;
 
-    fitted->first = HALF - half;
-    fitted->last = HALF + half;
     fitted->square = (int64_t)c->noise * c->noise;
     fitted->photon = limited(TRACKER_FRONT_GAIN / fitted->square, 0, (int64_t)1 << 34);
     fitted->flat = ((int64_t)1 << 40) / fitted->square;
@@ -253,10 +313,9 @@ static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
     make_images(fitted, fit->x, fit->y);
     for (j = fitted->first; j <= fitted->last; j++)
         for (i = fitted->first; i <= fitted->last; i++) {
-            if (!tracker_front_inside(c, i, j))
+            if (!is_used(fitted, i, j))
                 continue;
             k = j * SIDE + i;
-            m->data[k] = (int32_t)c->stamp[k] * 16 - (int32_t)tracker_shift_right(c->level, 4);
             above += (int64_t)m->image[0][k] * m->data[k];
             below += (int64_t)m->image[0][k] * m->image[0][k];
             fitted->used++;
@@ -277,6 +336,8 @@ void tracker_front_fit_star(struct tracker_front *front, int candidate)
 
     fitted.candidate = &front->candidate[measures->order[candidate]];
     fitted.measures = measures;
+    set_window(&fitted);
+    set_data(front, &fitted, candidate);
     begin(&fitted, fit);
     fit->freedom = fitted.used - 3;
     fit->good = fitted.used > 3;
@@ -293,5 +354,5 @@ void tracker_front_fit_star(struct tracker_front *front, int candidate)
     fit->variance = variance_of(&fitted, fit->flux, &normal, determinant);
     fit->misfit = misfits(&fitted, fit->flux, &alone);
     fit->good = longest <= CONVERGED && tracker_magnitude(fit->x) <= FARTHEST && tracker_magnitude(fit->y) <= FARTHEST
-                && alone + HOT_ODDS >= fit->misfit && fit->variance <= TRACKER_FRONT_IMAGE_VARIANCE;
+                && alone + HOT_ODDS >= fit->misfit && fit->variance <= (int64_t)measures->variance << 18;
 }

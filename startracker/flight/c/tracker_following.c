@@ -1,6 +1,7 @@
 /* Tracking: the same operations in the same order as startracker/flight/following.py, which explains them. */
 #include "tracker_following.h"
 
+#include "tracker_attitude_filter.h"
 #include "tracker_directions.h"
 
 #define ONE ((int64_t)1 << 30)
@@ -332,4 +333,18 @@ int tracker_following_attitude(const struct tracker_following *following, struct
         for (j = 0; j < 3; j++)
             covariance[i][j] = tracker_integer_of(following->covariance[i][j], COVARIANCE_BITS - 2 * TRACKER_ANGLE_BITS);
     return 1;
+}
+
+enum tracker_following_result tracker_following_take(struct tracker_following *following, struct tracker_answer *answer)
+{
+    enum tracker_following_result result;
+
+    if (answer->status != TRACKER_SOLVED)
+        return TRACKER_FOLLOWING_COASTING;
+    result = tracker_following_update(following, &answer->attitude, answer->covariance);
+    if (result != TRACKER_FOLLOWING_REJECTED) {
+        (void)tracker_following_attitude(following, &answer->attitude, answer->covariance);
+        tracker_quaternion_of(&answer->attitude, answer->quaternion);
+    }
+    return result;
 }

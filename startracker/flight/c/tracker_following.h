@@ -1,9 +1,21 @@
-/* Tracking from frame to frame: prediction of the next attitude, and filter of the measured ones. */
+/* Tracking from frame to frame: prediction of the next attitude, and filter of the measured ones.
+ *
+ *     static struct tracker_following following;
+ *     tracker_following_start(&following);
+ *     for each frame:
+ *         if (tracker_following_predict(&following, info.time_us, gyro, &info.prior) != TRACKER_TIME_BAD) {
+ *             tracker_start(&context, &info); ... tracker_finish(&context, &answer);
+ *             tracker_following_take(&following, &answer);
+ *         } */
 #ifndef TRACKER_FOLLOWING_H
 #define TRACKER_FOLLOWING_H
 
-#include "tracker_attitude_filter.h"
+#include "tracker_arithmetic.h"
 #include "tracker_types.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 enum tracker_time {
     TRACKER_TIME_GOOD,
@@ -16,7 +28,8 @@ enum tracker_following_result {
     TRACKER_FOLLOWING_USED,       /* the attitude was used */
     TRACKER_FOLLOWING_DISTRUSTED, /* used, after recent attitudes had contradicted the filter: its covariance was increased */
     TRACKER_FOLLOWING_REJECTED,   /* it contradicts the prediction and was not used */
-    TRACKER_FOLLOWING_RESTARTED   /* the second that contradicts it: the filter restarted from this one */
+    TRACKER_FOLLOWING_RESTARTED,  /* the second that contradicts it: the filter restarted from this one */
+    TRACKER_FOLLOWING_COASTING    /* the frame has no attitude: the filter only predicts */
 };
 
 struct tracker_innovation {
@@ -49,8 +62,16 @@ enum tracker_time tracker_following_predict(struct tracker_following *following,
 enum tracker_following_result tracker_following_update(struct tracker_following *following,
                                                        const struct tracker_matrix *attitude, int64_t covariance[3][3]);
 
+/* Update with the answer of that frame. An attitude that is used is replaced by that of the filter, with its covariance: it
+ * is of this and all earlier frames. */
+enum tracker_following_result tracker_following_take(struct tracker_following *following, struct tracker_answer *answer);
+
 /* Attitude and covariance of the filter at the time of the last prediction; 0: there is none. */
 int tracker_following_attitude(const struct tracker_following *following, struct tracker_matrix *attitude,
                                int64_t covariance[3][3]);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -4,6 +4,8 @@
 #define LAG TRACKER_FRONT_LAG
 #define BLOCK TRACKER_FRONT_BLOCK
 #define APART (2 << 16)        /* fits nearer than this along both axes are of one star */
+#define NEAR_PEAK (3 << 14)    /* from its highest pixel a star's image is no farther along an axis */
+#define ROUNDS 3               /* of fits with the neighbours' light taken off */
 #define FLAT_TOP 167772        /* 0.05^2 square pixels */
 #define TRAIL_ENDS 671089      /* 0.1^2 square pixels */
 #define FEWEST_LONG 4          /* trails that make a frame trailed, */
@@ -85,6 +87,11 @@ static void keep_star(struct tracker_star *list, int *count, const struct tracke
     list[n] = *star;
 }
 
+static int32_t near_peak(int32_t x)
+{
+    return x < -NEAR_PEAK ? -NEAR_PEAK : x > NEAR_PEAK ? NEAR_PEAK : x;
+}
+
 /* Fits of candidates; those that end on a higher star do not count. */
 static void fit_candidates(struct tracker_front *front)
 {
@@ -94,8 +101,14 @@ static void fit_candidates(struct tracker_front *front)
     int64_t dx, dy;
     int n, m;
 
+    for (n = 0; n < front->candidates; n++)
+        measures->neighbour[n].flux = 0;
     for (n = 0; n < front->candidates; n++) {
         fit = &measures->fit[n];
+        if (!fit->full && measures->trail_x == 0 && measures->trail_y == 0) {
+            fit->x = near_peak(fit->x);
+            fit->y = near_peak(fit->y);
+        }
         if (fit->good)
             tracker_front_fit_star(front, n);
         a = &front->candidate[measures->order[n]];
@@ -107,6 +120,29 @@ static void fit_candidates(struct tracker_front *front)
             dy = (int64_t)(a->y - b->y) * 65536 + fit->y - measures->fit[m].y;
             fit->good = tracker_magnitude(dx) >= APART || tracker_magnitude(dy) >= APART;
         }
+    }
+}
+
+/* Fits of stars that have neighbours, with the neighbours' light taken off, as fitted before. */
+static void fit_beside(struct tracker_front *front)
+{
+    struct tracker_front_measures *measures = &front->work.measures;
+    const struct tracker_front_fit *fit;
+    int n, m;
+
+    for (n = 0; n < front->candidates; n++) {
+        fit = &measures->fit[n];
+        measures->neighbour[n].x = fit->good ? fit->x : 0;
+        measures->neighbour[n].y = fit->good ? fit->y : 0;
+        measures->neighbour[n].flux = fit->good ? fit->flux : 0;
+    }
+    for (n = 0; n < front->candidates; n++) {
+        if (measures->neighbour[n].flux == 0)
+            continue;
+        for (m = 0; m < front->candidates && !tracker_front_neighbours(front, n, m); m++)
+            ;
+        if (m < front->candidates)
+            tracker_front_fit_star(front, n);
     }
 }
 
@@ -151,19 +187,13 @@ static void list_points(struct tracker_front *front, struct tracker_star *list, 
         star.y = (int32_t)((int64_t)candidate->y * 65536 + fit->y);
         star.flux = fit->flux;
         star.variance = with_floor(variance);
-        star.flags = measures->trail_x != 0 || measures->trail_y != 0 ? TRACKER_ELONGATED : 0;
+        star.flags = (uint16_t)((fit->full ? TRACKER_SATURATED : 0)
+                                + (measures->trail_x != 0 || measures->trail_y != 0 ? TRACKER_ELONGATED : 0));
         keep_star(list, count, &star);
     }
 }
 
 /* ------------------------------------------------------------------ objects */
-
-static int is_at_border(const struct tracker_front_object *object)
-{
-    return object->left <= TRACKER_FRONT_REACH || object->top <= TRACKER_FRONT_REACH
-           || object->right >= TRACKER_WIDTH - TRACKER_FRONT_REACH - 1
-           || object->bottom >= TRACKER_HEIGHT - TRACKER_FRONT_REACH - 1;
-}
 
 static void keep_object_star(const struct tracker_front_object *object, int64_t variance, uint16_t flag,
                              struct tracker_star *list, int *count)
@@ -178,23 +208,24 @@ static void keep_object_star(const struct tracker_front_object *object, int64_t 
     keep_star(list, count, &star);
 }
 
-/* Objects with saturated pixels that have a star's size and shape. */
+/* Saturated stars that no fit measures. */
 static void list_saturated(const struct tracker_front *front, struct tracker_star *list, int *count)
 {
     const struct tracker_front_object *object;
-    int32_t moments[3], axes[2];
+    const struct tracker_front_fit *fit;
     int64_t bloomed;
-    int n;
+    int n, m, fitted;
 
     for (n = 0; n < front->objects; n++) {
         object = &front->object[n];
-        moments[0] = object->xx;
-        moments[1] = object->yy;
-        moments[2] = object->xy;
-        tracker_front_principal(moments, axes);
-        if (object->kind != TRACKER_FRONT_SATURATED || object->pixels > TRACKER_FRONT_MAX_PIXELS || object->light <= 0
-            || axes[1] < TRACKER_FRONT_SHARP || (int64_t)axes[0] * 256 > (int64_t)TRACKER_FRONT_AXIS_RATIO * axes[1]
-            || is_at_border(object))
+        fitted = 0;
+        for (m = 0; m < front->candidates; m++) {
+            fit = &front->work.measures.fit[m];
+            fitted = fitted
+                     || (fit->good && fit->full
+                         && tracker_front_boxed(&front->candidate[front->work.measures.order[m]], object));
+        }
+        if (!object->star || fitted)
             continue;
         bloomed = tracker_square_root((int64_t)(object->xx > 0 ? object->xx : 0) << 8)
                   - tracker_square_root((int64_t)(object->yy > 0 ? object->yy : 0) << 8);
@@ -205,7 +236,7 @@ static void list_saturated(const struct tracker_front *front, struct tracker_sta
 
 static int is_trail(const struct tracker_front_object *object)
 {
-    return object->kind == TRACKER_FRONT_LONG && !is_at_border(object);
+    return object->kind == TRACKER_FRONT_LONG && !tracker_front_at_border(object);
 }
 
 /* The middle one of a moment of the trails: 0 is xx, 1 yy, 2 xy. */
@@ -278,6 +309,8 @@ int tracker_front_finish(struct tracker_front *front, struct tracker_star star[T
         advance(front, y);
     tracker_front_shapes(front);
     fit_candidates(front);
+    for (y = 0; y < ROUNDS; y++)
+        fit_beside(front);
     list_saturated(front, star, &count);
     if (!list_trails(front, star, &count))
         list_points(front, star, &count);

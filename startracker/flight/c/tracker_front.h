@@ -44,7 +44,7 @@ struct tracker_front_object {
     int32_t pixels, noise;
     uint16_t first_x, first_y;
     uint16_t left, right, top, bottom;
-    uint8_t kind;
+    uint8_t kind, star;            /* one of tracker_front_kind; whether it has a saturated star's size and shape */
 };
 
 /* A local maximum of the filtered frame, with its pixels; 0 beyond the frame. */
@@ -82,14 +82,24 @@ struct tracker_front_fit {
     int32_t flux;                  /* DN, 4 fraction bits */
     int64_t variance, misfit;      /* square pixels, 26 fraction bits; chi squared, 8 */
     int32_t freedom;
+    uint8_t full;                  /* it is the image of a saturated star */
     uint8_t good, valid, sharp;
+};
+
+/* A star as it was fitted before; without flux: none. */
+struct tracker_front_neighbour {
+    int32_t x, y, flux;
 };
 
 /* Thereafter. */
 struct tracker_front_measures {
     uint16_t order[TRACKER_FRONT_POOL];   /* candidates, the highest first */
     struct tracker_front_fit fit[TRACKER_FRONT_POOL];
-    int32_t trail_x, trail_y;             /* distance of the nodes of the star image, 16 fraction bits; 0, 0: round */
+    /* the image that all stars share: distance of its nodes (16 fraction bits; 0, 0: it is not moved), 1/sigma (12),
+     * half side of the window of a fit, mean variance with the pixel's (square pixels, 8) */
+    int32_t trail_x, trail_y, inverse_x, inverse_y, variance;
+    int half;
+    struct tracker_front_neighbour neighbour[TRACKER_FRONT_POOL];
     int32_t data[TRACKER_FRONT_SIDE * TRACKER_FRONT_SIDE];
     int32_t image[3][TRACKER_FRONT_SIDE * TRACKER_FRONT_SIDE];
     int32_t middle[TRACKER_FRONT_OBJECTS];

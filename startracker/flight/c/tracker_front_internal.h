@@ -20,13 +20,16 @@ void tracker_front_search_row(struct tracker_front *front, int32_t y);
 void tracker_front_join(struct tracker_front_rows *rows, const struct tracker_front_run *run, int32_t y,
                         const struct tracker_front_sums *sums, int32_t saturated);
 void tracker_front_close(struct tracker_front *front, int32_t y); /* components that do not reach row y */
+int tracker_front_at_border(const struct tracker_front_object *object);
 void tracker_front_principal(const int32_t moments[3], int32_t axes[2]); /* the larger variance first */
 
 /* tracker_stamps.c */
 void tracker_front_shapes(struct tracker_front *front);
+int tracker_front_boxed(const struct tracker_front_candidate *candidate, const struct tracker_front_object *object);
 int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row);
 
 /* tracker_fit.c */
-void tracker_front_fit_star(struct tracker_front *front, int candidate);
+void tracker_front_fit_star(struct tracker_front *front, int candidate); /* without the light of the neighbours */
+int tracker_front_neighbours(const struct tracker_front *front, int candidate, int other); /* that have a flux */
 
 #endif

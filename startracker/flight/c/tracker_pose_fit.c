@@ -41,6 +41,7 @@ static int64_t median_variance(const struct tracker_pose_star *star, int count)
     int64_t ordered[TRACKER_MAX_STARS];
     int n, at;
 
+    ordered[0] = 0;
     for (n = 0; n < count; n++) {
         for (at = n; at > 0 && ordered[at - 1] > star[n].variance; at--)
             ordered[at] = ordered[at - 1];
@@ -203,18 +204,11 @@ static void add_model(struct average *to, const struct sums *sums, int t, int m)
 int tracker_fit_pose(const struct tracker_pose_star *star, int count, int plain, struct tracker_pose_fit *fit)
 {
     const int64_t unit = median_variance(star, count);
-    struct average average;
+    struct average average = {0};
     struct sums sums;
     tracker_real share;
     int t, m, i, j;
 
-    average.any = 0;
-    average.highest = average.weight = average.factor = average.systematic = average.shear2 = tracker_zero();
-    for (i = 0; i < COUNT; i++)
-        average.mean[i] = tracker_zero();
-    for (i = 0; i < 3; i++)
-        for (j = 0; j < 3; j++)
-            average.square[i][j] = tracker_zero();
     for (t = 0; t < (plain ? 1 : TRACKER_POSE_GRID); t++) {
         const int64_t first = (unit * SYSTEMATIC_SHARE) >> 20;
         make_sums(star, count, t == 0 ? 0 : first * ((int64_t)1 << (t - 1)), &sums);

@@ -4,6 +4,7 @@
 #define REACH TRACKER_FRONT_REACH
 #define SIDE TRACKER_FRONT_SIDE
 #define HALF TRACKER_FRONT_HALF
+#define CORE 2
 
 static int32_t smaller(int32_t a, int32_t b)
 {
@@ -179,19 +180,32 @@ static void copy_stamp(struct tracker_front_rows *rows, struct tracker_front_can
                     : 0;
 }
 
-/* Whether it is not saturated, not sharper than a star, and not part of something extended. */
+/* Whether all pixels of the core are saturated: what is left is too little for a fit. */
+static int is_full(struct tracker_front_rows *rows, const struct tracker_front_candidate *candidate)
+{
+    int i, j;
+
+    for (j = HALF - CORE; j <= HALF + CORE; j++)
+        for (i = HALF - CORE; i <= HALF + CORE; i++)
+            if (!tracker_front_inside(candidate, i, j)
+                || tracker_front_row_at(rows, candidate->y + j - HALF)[candidate->x + i - HALF]
+                       < TRACKER_FRONT_SATURATION)
+                return 0;
+    return 1;
+}
+
+/* Whether it is not saturated throughout, not sharper than a star, and not part of something extended. */
 static int can_be_star(struct tracker_front_rows *rows, const struct tracker_front_candidate *candidate)
 {
     const int32_t level = candidate->level, noise = candidate->noise;
     int32_t peak = (int32_t)tracker_front_row_at(rows, candidate->y)[candidate->x] * 256 - level;
     int32_t limit = larger((int32_t)tracker_shift_right(peak, 2), 2 * noise);
+    int full = tracker_front_row_at(rows, candidate->y)[candidate->x] >= TRACKER_FRONT_SATURATION;
     int i, j, border = 0, bright = 0;
 
-    for (j = -1; j <= 1; j++)
-        for (i = -1; i <= 1; i++)
-            if (tracker_front_row_at(rows, candidate->y + j)[candidate->x + i] >= TRACKER_FRONT_SATURATION)
-                return 0;
-    if (TRACKER_FRONT_SHARE > 0
+    if (full && is_full(rows, candidate))
+        return 0;
+    if (TRACKER_FRONT_SHARE > 0 && !full
         && 4 * (int64_t)peak > (((int64_t)TRACKER_FRONT_SHARE * candidate->height) >> 16) + 12 * (int64_t)noise)
         return 0;
     for (j = 0; j < SIDE; j++)

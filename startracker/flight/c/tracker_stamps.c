@@ -13,7 +13,9 @@
 #define FEWEST 3
 #define WIDE TRACKER_FRONT_WIDE
 #define WIDEST (WIDE * 29 / 32)
-#define TRAILED 38         /* square pixels, 8 fraction bits */
+#define TRAILED 90         /* square pixels, 8 fraction bits */
+#define LINE 2169          /* a line under the weight: see startracker/flight/front_stamps.py */
+#define PIXEL (((int64_t)1 << 24) / 12) /* variance of a pixel, 24 fraction bits */
 #define ERROR_OF_SHAPE 1774
 
 static void sort_candidates(struct tracker_front *front)
@@ -34,17 +36,30 @@ static void sort_candidates(struct tracker_front *front)
     }
 }
 
-static int is_boxed(const struct tracker_front *front, const struct tracker_front_candidate *c)
+int tracker_front_boxed(const struct tracker_front_candidate *c, const struct tracker_front_object *o)
 {
-    const struct tracker_front_object *o;
-    int n;
+    return c->x + MARGIN >= o->left && c->x <= o->right + MARGIN && c->y + MARGIN >= o->top && c->y <= o->bottom + MARGIN;
+}
 
-    for (n = 0; n < front->objects; n++) {
-        o = &front->object[n];
-        if (c->x + MARGIN >= o->left && c->x <= o->right + MARGIN && c->y + MARGIN >= o->top && c->y <= o->bottom + MARGIN)
-            return 1;
+/* Whether candidate n of the order is in no box, or the highest in those of saturated stars, whose image it then is. */
+static int is_free(const struct tracker_front *front, int n, uint8_t *full)
+{
+    const uint16_t *order = front->work.measures.order;
+    const struct tracker_front_object *object;
+    int k, m;
+
+    *full = 0;
+    for (k = 0; k < front->objects; k++) {
+        object = &front->object[k];
+        if (!tracker_front_boxed(&front->candidate[order[n]], object))
+            continue;
+        for (m = 0; m < n && !tracker_front_boxed(&front->candidate[order[m]], object); m++)
+            ;
+        if (!object->star || m < n)
+            return 0;
+        *full = 1;
     }
-    return 0;
+    return 1;
 }
 
 /* Whether candidate a, the lower one, belongs to b. */
@@ -170,17 +185,62 @@ static int32_t unweighted(int32_t seen)
 
 static int32_t node_distance(int32_t twice)
 {
-    return twice > 0 ? (int32_t)tracker_square_root((int64_t)(2 * twice / 5) << 24) : 0;
+    return twice > 0 ? (int32_t)tracker_square_root((int64_t)(2 * twice / 21) << 24) : 0;
 }
 
-static void find_trail(struct tracker_front *front)
+static int32_t inverse_sigma(int32_t variance)
+{
+    return (int32_t)(((int64_t)1 << 24) / tracker_square_root(((int64_t)variance << 16) - PIXEL));
+}
+
+/* A Gaussian of these variances, pixel included. */
+static void set_gaussian(struct tracker_front_measures *measures, int32_t xx, int32_t yy)
+{
+    int half = TRACKER_FRONT_FIT_HALF;
+
+    xx = xx < TRACKER_FRONT_LEAST_IMAGE ? TRACKER_FRONT_LEAST_IMAGE : xx;
+    xx = xx > TRACKER_FRONT_MOST_IMAGE ? TRACKER_FRONT_MOST_IMAGE : xx;
+    yy = yy < TRACKER_FRONT_LEAST_IMAGE ? TRACKER_FRONT_LEAST_IMAGE : yy;
+    yy = yy > TRACKER_FRONT_MOST_IMAGE ? TRACKER_FRONT_MOST_IMAGE : yy;
+    while (half < HALF && 1024 * half * half < 25 * (xx > yy ? xx : yy))
+        half++;
+    measures->trail_x = measures->trail_y = 0;
+    measures->inverse_x = inverse_sigma(xx);
+    measures->inverse_y = inverse_sigma(yy);
+    measures->half = half;
+    measures->variance = (xx + yy) >> 1;
+}
+
+/* The image of these median moments under the weight. */
+static void set_image(struct tracker_front_measures *measures, const int32_t moments[3])
+{
+    int32_t seen[2], minor, apart, turned;
+
+    tracker_front_principal(moments, seen);
+    minor = unweighted(seen[1]);
+    apart = unweighted(seen[0]) - minor;
+    if (apart <= TRAILED) {
+        set_gaussian(measures, unweighted(moments[0]), unweighted(moments[1]));
+        return;
+    }
+    set_gaussian(measures, minor, minor);
+    apart = apart * LINE / (LINE + apart);
+    turned = (int32_t)tracker_floor_quotient((int64_t)apart * (moments[0] - moments[1]), (int64_t)seen[0] - seen[1]);
+    measures->trail_x = node_distance(apart + turned);
+    measures->trail_y = node_distance(apart - turned);
+    if (moments[2] < 0)
+        measures->trail_y = -measures->trail_y;
+    measures->half = HALF;
+    measures->variance = minor + (apart >> 1);
+}
+
+static void find_image(struct tracker_front *front)
 {
     struct tracker_front_measures *measures = &front->work.measures;
-    int32_t xx[SHAPE_STARS], yy[SHAPE_STARS], xy[SHAPE_STARS], moments[3], seen[2], apart, turned;
+    int32_t xx[SHAPE_STARS], yy[SHAPE_STARS], xy[SHAPE_STARS], moments[3];
     const struct tracker_front_fit *fit;
     int n, used = 0;
 
-    measures->trail_x = measures->trail_y = 0;
     for (n = 0; n < front->candidates && used < SHAPE_STARS; n++) {
         fit = &measures->fit[n];
         if (!fit->good || !fit->valid || fit->sharp || !is_whole(&front->candidate[measures->order[n]]))
@@ -190,20 +250,14 @@ static void find_trail(struct tracker_front *front)
         insert_sorted(xy, used, fit->xy);
         used++;
     }
-    if (used < FEWEST)
+    if (used < FEWEST) {
+        set_gaussian(measures, TRACKER_FRONT_IMAGE, TRACKER_FRONT_IMAGE);
         return;
+    }
     moments[0] = xx[used / 2];
     moments[1] = yy[used / 2];
     moments[2] = xy[used / 2];
-    tracker_front_principal(moments, seen);
-    apart = unweighted(seen[0]) - unweighted(seen[1]);
-    if (apart <= TRAILED)
-        return;
-    turned = (int32_t)tracker_floor_quotient((int64_t)apart * (moments[0] - moments[1]), (int64_t)seen[0] - seen[1]);
-    measures->trail_x = node_distance(apart + turned);
-    measures->trail_y = node_distance(apart - turned);
-    if (moments[2] < 0)
-        measures->trail_y = -measures->trail_y;
+    set_image(measures, moments);
 }
 
 /* Whether candidate a, the lower one, lies on the trail of b. */
@@ -214,7 +268,7 @@ static int is_on_trail(const struct tracker_front_measures *measures, const stru
     int64_t dx = a->x - b->x, dy = a->y - b->y;
     int64_t along = dx * tx + dy * ty, across = dx * ty - dy * tx, square = tx * tx + ty * ty;
 
-    return square > 0 && across * across <= 4 * square && tracker_magnitude(along) * 256 <= 4 * square;
+    return square > 0 && across * across <= 4 * square && tracker_magnitude(along) * 256 <= 8 * square;
 }
 
 void tracker_front_shapes(struct tracker_front *front)
@@ -229,11 +283,11 @@ void tracker_front_shapes(struct tracker_front *front)
         a = &front->candidate[measures->order[n]];
         fit = &measures->fit[n];
         measure_shape(a, fit);
-        fit->good = !is_boxed(front, a);
+        fit->good = (uint8_t)is_free(front, n, &fit->full);
         for (m = 0; m < n && fit->good; m++)
             fit->good = !is_beside(a, &front->candidate[measures->order[m]]);
     }
-    find_trail(front);
+    find_image(front);
     for (n = 0; n < front->candidates; n++) {
         a = &front->candidate[measures->order[n]];
         fit = &measures->fit[n];
