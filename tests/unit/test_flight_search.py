@@ -1,6 +1,7 @@
 """Identification of the flight build beside floating point, brute force and truth."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,15 +11,18 @@ from benchmarks.flight_lists import FIELDS, field_list, null_list
 from simulator.randomness import stream
 from startracker import Camera, StarTracker
 from startracker.distortion import Distortion
+from startracker.errors import InputError
 from startracker.estimation.directions import focal_slopes, normal_equations
 from startracker.flight import search as searching
+from startracker.flight import search_tables as tabled
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.directions import plane_of, vectors_of
 from startracker.flight.evidence import LOG_UP, log_down, log_sum, log_sum_up, sight, weigh
 from startracker.flight.evidence import Match as IntegerMatch
 from startracker.flight.search import FlightPrior, Reason, pair_frame
 from startracker.flight.search_plan import SEARCHES
-from startracker.flight.solver import FlightTracker
+from startracker.flight.search_tables import search_tables
+from startracker.flight.solver import SATURATED_PART, FlightTracker
 from startracker.flight.stars import StarList
 from startracker.flight.verifying import _log_determinant, _normal, field_at, matched, verify
 from startracker.flight.votes import MOST_VOTES, neighbours_of, separations, tolerance, vote_about
@@ -26,6 +30,7 @@ from startracker.identification import bayes_factor, clustering_null
 from startracker.identification.bayes_factor import Matched, count_table, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price, log_excess_density
 from startracker.identification.verification import MOST_EXTRA
+from startracker.settings import DetectionSettings
 from startracker.solution import Status
 from startracker.survey import SATURATED_SHARE
 
@@ -65,13 +70,11 @@ def integers(matrix):
 
 
 def test_constants_are_those_of_floating_point():
-    from startracker.flight import search_tables, solver
-
-    assert search_tables.WIDE_MAG == bayes_factor._WIDE_MAG
-    assert search_tables.WIDE_SHARE == bayes_factor._WIDE_SHARE
-    assert search_tables.FLOOR == bayes_factor._FLOOR
-    assert search_tables.EVEN == clustering_null._EVEN
-    assert pytest.approx(1.0 / SATURATED_SHARE) == solver.SATURATED_PART
+    assert tabled.WIDE_MAG == bayes_factor._WIDE_MAG
+    assert tabled.WIDE_SHARE == bayes_factor._WIDE_SHARE
+    assert tabled.FLOOR == bayes_factor._FLOOR
+    assert tabled.EVEN == clustering_null._EVEN
+    assert pytest.approx(1.0 / SATURATED_SHARE) == SATURATED_PART
 
 
 def test_logarithms_are_bounds(tables):
@@ -306,3 +309,14 @@ def test_frame_of_a_pair_is_orthonormal():
         q = p + separation * np.cross(p, rng.normal(size=3))
         frame = pair_frame(integers(p), integers(q / np.linalg.norm(q))) / ONE
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=4e-9 / separation)  # the difference's last bit
+
+
+def test_designs_that_are_refused(tracker):
+    for changed, message in (
+        ({"identifier": "triads"}, "without --scenario"),
+        ({"detection": DetectionSettings(max_stars=200)}, "up to 120 stars"),
+    ):
+        with pytest.raises(InputError, match=message):
+            search_tables(replace(tracker.design, **changed))
+    with pytest.raises(InputError, match="velocities"):
+        tracker.solve_stars(StarList.of([[1.0, 2.0]], [1.0], [0.01]), velocity=[1 << 21, 0, 0])
