@@ -20,11 +20,13 @@ from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
 from startracker.fixed_point.export_c import CExport
 from startracker.flight.design import FlightDesign
-from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants, grid_tables
-from startracker.flight.front_tables import FRONT_MODULES, front_arrays, front_constants, front_tables
-from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants, pose_tables
+from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants
+from startracker.flight.following import FOLLOWING_MODULES, following_arrays, following_constants, following_tables
+from startracker.flight.front_tables import FRONT_MODULES, front_arrays, front_constants
+from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants
 from startracker.flight.search_export import SEARCH_MODULES, search_arrays, search_constants
-from startracker.flight.search_tables import search_tables
+from startracker.flight.solver import SATURATED_PART, FlightTracker
+from startracker.flight.unit_data import unit_test_data
 
 _FOLDERS = ("startracker.flight", "startracker.fixed_point")
 _INCLUDE = re.compile(r'^#include "(tracker\w*\.h)"', re.MULTILINE)
@@ -58,19 +60,21 @@ def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
         A prefix that is not a C identifier; a camera or settings that the integers cannot hold.
     """
     check_prefix(prefix)
-    return assemble(design, flight_parts(design), prefix, "")
+    tracker = FlightTracker.build(design)
+    return assemble(design, flight_parts(tracker), prefix, unit_test_data(tracker))
 
 
-def flight_parts(design: FlightDesign) -> list[Part]:
-    """What the stages of a design give."""
-    front, grid = front_tables(design), grid_tables(design)
-    search, pose = search_tables(design), pose_tables(design)
+def flight_parts(tracker: FlightTracker) -> list[Part]:
+    """What the stages of a tracker give."""
+    front, grid, search, pose = tracker.front_tables, tracker.grid, tracker.search_tables, tracker.pose_tables
+    following = following_tables(tracker.design.motion, tracker.design.tracking)
     return [
         Part(FRONT_MODULES, front_constants(front), front_arrays(front)),
         Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),
         Part(SEARCH_MODULES, search_constants(search), search_arrays(search)),
         Part(POSE_MODULES, pose_constants(pose), pose_arrays(pose)),
-        Part(("solver", "frame"), {"SATURATED_PART": 20}, []),
+        Part(FOLLOWING_MODULES, following_constants(following), following_arrays(following)),
+        Part(("solver", "frame"), {"SATURATED_PART": SATURATED_PART}, []),
     ]
 
 

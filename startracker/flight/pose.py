@@ -351,10 +351,8 @@ def _stepped(matrix: Integers, found: Fit, t: PoseTables) -> Integers | None:
 
 
 def _covariance(found: Fit, t: PoseTables) -> Integers:
-    scales = _scales(t)
-    return np.array(
-        [
-            [(found.covariance[i][j] * scales[i] * scales[j]).integer(COVARIANCE_BITS) for j in range(3)]
-            for i in range(3)
-        ]
-    )
+    scales, made = _scales(t), np.empty((3, 3), dtype=np.int64)
+    for i in range(3):
+        for j in range(i + 1):
+            made[i, j] = made[j, i] = (found.covariance[i][j] * scales[i] * scales[j]).integer(COVARIANCE_BITS)
+    return made

@@ -171,9 +171,7 @@ def _rotation2(one: IntArray, other: IntArray) -> int:
     return sum(int(c) for c in (apart * apart).ravel())
 
 
-def identify(
-    seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables
-) -> Found:
+def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables) -> Found:
     """Identify observed stars, lost in space or around a prior.
 
     Parameters

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from startracker.fixed_point.c_table import braced
-from startracker.flight.design import FlightDesign
-from startracker.flight.unit_scenes import REACH, SEED, VELOCITY, scene_numbers, unit_lists, unit_scenes
+from startracker.flight.solver import FlightAnswer, FlightTracker
+from startracker.flight.unit_scenes import REACH, SEED, VELOCITY, scene_numbers, scene_rows, unit_lists, unit_scenes
+from startracker.solution import Status
 
 FLOAT_TOLERANCE = 1 << 14
 """Of 2.30: 3 arcseconds, between single precision and the integer reference."""
 _SOURCE = ["struct test_source {", "    int32_t x8, y8; /* eighths of a pixel */", "    uint32_t flux;", "};", ""]
 
 
-def unit_test_data(
-    design: FlightDesign, list_answers: Sequence[Sequence[object]], frame_answers: Sequence[Sequence[object]]
-) -> str:
-    """Text of ``test_data.h``.
-
-    Parameters
-    ----------
-    design : FlightDesign
-    list_answers, frame_answers : sequences
-        For `unit_lists` and `unit_scenes`: values of ``struct tracker_answer`` in the order of its members, in nested
-        lists.
-    """
+def unit_test_data(tracker: FlightTracker) -> str:
+    """Text of ``test_data.h``: lists, frames, and what the reference answers."""
+    design = tracker.design
     lists, scenes, numbers = unit_lists(design), unit_scenes(design), scene_numbers(design)
+    list_answers = [tracker.solve_stars(stars, velocity=VELOCITY) for stars in lists]
+    frames = [scene_rows(design, scene, SEED + n).astype(np.uint16) for n, scene in enumerate(scenes)]
+    frame_answers = [tracker.solve(frame, velocity=VELOCITY) for frame in frames]
     macros = {
         "TOLERANCE": FLOAT_TOLERANCE if design.arithmetic == "float" else 0,
         "LISTS": len(lists),
@@ -44,10 +41,10 @@ def unit_test_data(
     lines += ["", '#include "test_compare.h"', "", *_SOURCE]
     lines += _array("struct tracker_star test_star", stars)
     lines += _array("int test_first", _starts(len(one.x) for one in lists))
-    lines += _array("struct tracker_answer test_list_answer", list_answers)
+    lines += _array("struct tracker_answer test_list_answer", list(map(_members, list_answers)))
     lines += _array("struct test_source test_source", sources)
     lines += _array("int test_source_first", _starts(len(one.x8) for one in scenes))
-    lines += _array("struct tracker_answer test_frame_answer", frame_answers)
+    lines += _array("struct tracker_answer test_frame_answer", list(map(_members, frame_answers)))
     lines += _array("uint16_t test_profile", numbers.profile.tolist())
     lines += [f"static const struct tracker_vector test_velocity = {braced(list(VELOCITY))};", "", "#endif", ""]
     return "\n".join(lines)
@@ -56,6 +53,21 @@ def unit_test_data(
 def _array(declared: str, values: Sequence[object]) -> list[str]:
     """Definition of a constant array of numbers or of nested lists of them."""
     return [f"static const {declared}[] = {{", *(f"    {braced(value)}," for value in values), "};", ""]
+
+
+def _members(answer: FlightAnswer) -> list[object]:
+    """Values of ``struct tracker_answer`` in the order of its members, in nested lists."""
+    counts = [answer.stars, answer.matched, answer.used, answer.evidence, answer.chance, answer.steps]
+    arrays = [answer.number.tolist() or [0], [answer.matrix.tolist()], answer.quaternion.tolist()]
+    status = list(Status).index(answer.status)
+    return [
+        status,
+        int(answer.reason),
+        *map(int, counts),
+        int(answer.prior_contradicted),
+        *arrays,
+        answer.covariance.tolist(),
+    ]
 
 
 def _starts(counts: Iterable[int]) -> list[int]:

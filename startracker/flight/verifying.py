@@ -168,9 +168,7 @@ def _step(normal: _Normal) -> IntArray | None:
     return None if int(np.abs(step).max()) > _LARGEST_TURN else step
 
 
-def verify(
-    start: IntArray, wide: int, seen: Sight, velocity: IntArray, t: SearchTables
-) -> Verified:
+def verify(start: IntArray, wide: int, seen: Sight, velocity: IntArray, t: SearchTables) -> Verified:
     """Match, refit until the match no longer changes, and compute the evidence, for each gate in turn.
 
     Parameters

@@ -14,6 +14,7 @@ from simulator.study.flight.program import list_text, parse_answer, velocity_of
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.flight.export import Part, assemble, flight_export, flight_parts
+from startracker.flight.solver import FlightTracker
 from startracker.flight.stars import StarList
 from startracker.flight.unit_scenes import SEED, field_of, scene_numbers, scene_rows, unit_scenes
 
@@ -58,7 +59,7 @@ def test_the_version_is_of_the_tables(design, export):
     version = re.search(r'vega_1_version\[(\d+)\] = "([^"]+)"', export.files["vega_1_tables.c"])
     assert int(version[1]) == len(version[2]) + 1
     assert f"scenario tc211 {design.digest[:16]}; fixed; adaptive; tables " in version[2]
-    parts = flight_parts(design)
+    parts = flight_parts(FlightTracker.build(design))
     assert version[2] in assemble(design, parts, "other", "").files["other_tables.c"]
     parts[0].arrays[0] = CTable(*list(vars(parts[0].arrays[0]).values())[:3], parts[0].arrays[0].values + 1)
     assert version[2] not in assemble(design, parts, "other", "").files["other_tables.c"]

@@ -181,8 +181,8 @@ int tracker_following_bytes(void)
 {
     return (int)sizeof(struct tracker_following);
 }
-int tracker_take(struct tracker_following *following, int solved, struct tracker_matrix *attitude, int64_t covariance[3][3]);
-int tracker_take(struct tracker_following *following, int solved, struct tracker_matrix *attitude, int64_t covariance[3][3])
+int tracker_take(struct tracker_following *f, int solved, struct tracker_matrix *attitude, int64_t covariance[3][3]);
+int tracker_take(struct tracker_following *f, int solved, struct tracker_matrix *attitude, int64_t covariance[3][3])
 {
     struct tracker_answer answer;
     int result, k;
@@ -190,7 +190,7 @@ int tracker_take(struct tracker_following *following, int solved, struct tracker
     answer.attitude = *attitude;
     for (k = 0; k < 9; k++)
         answer.covariance[k / 3][k % 3] = covariance[k / 3][k % 3];
-    result = (int)tracker_following_take(following, &answer);
+    result = (int)tracker_following_take(f, &answer);
     *attitude = answer.attitude;
     for (k = 0; k < 9; k++)
         covariance[k / 3][k % 3] = answer.covariance[k / 3][k % 3];

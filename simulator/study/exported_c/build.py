@@ -140,7 +140,8 @@ def _sizes(target: Target, path: str) -> tuple[int, int, int]:
 
 
 def _failure(program: str, said: str, status: int) -> InputError:
-    return InputError(f"{Path(program).name}: {(said.strip() or f'status {status}').splitlines()[0]}")
+    lines = (said.strip() or f"status {status}").splitlines()
+    return InputError(f"{Path(program).name}: {next((line for line in lines if 'error' in line), lines[0])}")
 
 
 def command(words: Sequence[str], check: bool = True) -> subprocess.CompletedProcess[str]:

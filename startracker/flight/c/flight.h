@@ -7,6 +7,9 @@
  *         tracker_row(&context, row);
  *     tracker_finish(&context, &answer);
  *
+ * From frame to frame, tracker_following_predict gives what is known before a frame, and tracker_following_take combines
+ * its answer with those before it.
+ *
  * C99; no heap, recursion, library call or static variable. Reentrant: all working memory is in the context, one for each
  * camera and thread. All names begin with `tracker_` or `TRACKER_`. The stages of a frame share memory: what a stage needs
  * lies in `work`, and what the next one takes from it beside that.
@@ -18,6 +21,7 @@
 
 #include "tracker_types.h"
 
+#include "tracker_following.h"
 #include "tracker_front.h"
 #include "tracker_pose.h"
 #include "tracker_search.h"

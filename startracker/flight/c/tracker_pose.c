@@ -369,8 +369,8 @@ int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *sta
             pose->used[n] = pose->index[n];
     }
     for (k = 0; k < 3; k++)
-        for (j = 0; j < 3; j++)
-            covariance[k][j] = tracker_integer_of(
+        for (j = 0; j <= k; j++)
+            covariance[k][j] = covariance[j][k] = tracker_integer_of(
                 tracker_times(tracker_times(pose->fit.covariance[k][j], scale_of(k)), scale_of(j)), COVARIANCE_BITS);
     for (n = 0; n < count; n++)
         guide[n] = pose->used[n] >= 0 ? (int16_t)pose->number[pose->used[n]] : (int16_t)-1;

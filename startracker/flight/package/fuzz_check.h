@@ -2,14 +2,19 @@
 #ifndef TRACKER_FUZZ_CHECK_H
 #define TRACKER_FUZZ_CHECK_H
 
+#include <stdio.h>
 #include <stdlib.h>
 
 #include "tracker.h"
 
-static inline void require(int holds)
+#define require(holds) require_that((holds) != 0, #holds)
+
+static inline void require_that(int holds, const char *what)
 {
-    if (!holds)
+    if (!holds) {
+        fprintf(stderr, "ERROR: does not hold: %s\n", what);
         abort();
+    }
 }
 
 /* Memory from the heap, whose ends the sanitizer guards; never freed. */

@@ -21,7 +21,7 @@ static int of_two(const uint8_t *bytes)
 /* Attitude with the boresight at a guide star. */
 static void look_at(double m[3][3], int guide, int roll)
 {
-    const int32_t *g = tracker_search_guide[guide];
+    const int32_t *g = tracker_guide_direction[guide];
     const double angle = roll * 3.14159265358979 / 32768.0;
     double east[3], north[3], size;
     int k;
@@ -51,7 +51,7 @@ static int next_star(double m[3][3], int guide, double focal, double out[2])
     for (; guide < TRACKER_SEARCH_GUIDES; guide++) {
         for (j = 0; j < 3; j++)
             for (seen[j] = 0.0, k = 0; k < 3; k++)
-                seen[j] += m[j][k] * tracker_search_guide[guide][k] / 1073741824.0;
+                seen[j] += m[j][k] * tracker_guide_direction[guide][k] / 1073741824.0;
         if (seen[2] < 0.5)
             continue;
         out[0] = focal * seen[0] / seen[2] + 0.5 * (TRACKER_WIDTH - 1);
