@@ -148,9 +148,14 @@ def inline_svg(panel: Panel, key: str, narrow: bool = False) -> str:
     narrow : bool
         Draw a wide panel in the width of the others, for a phone.
     """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     stream = io.StringIO()
     with style():
-        figure_of(panel, narrow).savefig(stream, format="svg", dpi=160, metadata={"Date": None, "Creator": None})
+        figure = figure_of(panel, narrow)
+        figure.set_dpi(160)
+        # the canvas lays out and draws at once; `savefig` draws twice
+        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)

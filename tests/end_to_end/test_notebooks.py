@@ -3,9 +3,8 @@
 import re
 from pathlib import Path
 
-import nbformat
 import pytest
-from run_notebooks import executed
+from run_notebooks import executed, valid
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -38,8 +37,7 @@ def printed(cell):
 
 @each_notebook
 def test_notebook_ships_executed(path):
-    notebook = nbformat.read(path, as_version=4)
-    nbformat.validate(notebook)
+    notebook = valid(path)
     cells = code_cells(notebook)
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1)), "run make notebooks"
     for cell in cells:
@@ -53,7 +51,7 @@ def test_notebook_ships_executed(path):
 @each_notebook
 def test_notebook_teaches(path):
     """Steps with headings, a question or an exercise, a slider with its figure beside it."""
-    notebook = nbformat.read(path, as_version=4)
+    notebook = valid(path)
     text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
     assert len(re.findall(r"^## ", text, re.MULTILINE)) >= 3
     assert re.search(r"\*\*Question[.:]\*\*", text)
@@ -70,7 +68,7 @@ def test_notebook_teaches(path):
 )
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the notebook client's own event loop
 def test_notebook_runs_as_stored(path):
-    stored, again = nbformat.read(path, as_version=4), executed(path)
+    stored, again = valid(path), executed(path)
     for old, new in zip(code_cells(stored), code_cells(again), strict=True):
         assert shown(old) == shown(new), f"run make notebooks; the outputs differ of:\n{new.source}"
         if VARIES in old.metadata.get("tags", ()):

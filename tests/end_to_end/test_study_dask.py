@@ -1,5 +1,7 @@
 """The same rows on a dask cluster, whatever happens to its workers."""
 
+import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -21,10 +23,34 @@ SCRIPT = Path(__file__).with_name("fake_study.py")
 TRIALS = 1000
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
-    """Scheduler and two workers as processes of their own; the workers' trials cost nothing."""
-    tmp_path = tmp_path_factory.mktemp("cluster")
+@pytest.fixture(params=["threads", pytest.param("processes", marks=pytest.mark.slow)])
+def cluster(request, tmp_path, monkeypatch):
+    """Address of a scheduler with two workers, whose trials cost nothing, and a function that ends one of them.
+
+    Threads of this process, connected by TCP, may leave, and their blocks go to the other. Processes, whose start takes
+    30 CPU seconds, are killed.
+    """
+    monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
+    with _threads(monkeypatch) if request.param == "threads" else _processes(tmp_path) as made:
+        yield made
+
+
+@contextlib.contextmanager
+def _threads(monkeypatch):
+    from distributed import Client, LocalCluster
+
+    monkeypatch.setattr(dask_pool, "TrialRunner", _fake_runner())
+    with LocalCluster(2, 1, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None) as cluster:
+
+        def retire_a_worker():
+            with Client(cluster, set_as_default=False) as client:
+                client.retire_workers([min(client.nthreads())])
+
+        yield cluster.scheduler_address, retire_a_worker
+
+
+@contextlib.contextmanager
+def _processes(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__ADMIN__LOG_FORMAT": "%(message)s"}
     file = tmp_path / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": tmp_path}
@@ -33,13 +59,19 @@ def cluster(tmp_path_factory):
     worker = [*dask, "worker", "--scheduler-file", file, "--nthreads", "1", "--no-dashboard", "--preload", SCRIPT]
     processes = [subprocess.Popen(command, **quiet) for command in (scheduler, [*worker, "--nworkers", "2"])]
     try:
-        import json
-
         deadline = time.monotonic() + 60
         while not file.exists() or not file.read_text().endswith("}"):
             assert time.monotonic() < deadline
             time.sleep(0.05)
-        yield json.loads(file.read_text())["address"]
+        address = json.loads(file.read_text())["address"]
+
+        def kill_a_worker():
+            from distributed import Client
+
+            with Client(address, set_as_default=False) as client:
+                os.kill(min(client.run(os.getpid).values()), signal.SIGKILL)
+
+        yield address, kill_a_worker
     finally:
         for process in reversed(processes):
             process.send_signal(signal.SIGINT)
@@ -48,9 +80,9 @@ def cluster(tmp_path_factory):
 
 
 def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
+    address, _ = cluster
     plan = plan_sweep("cubesat_ideal", ["optics.aperture_mm=15,16"], trials=40)
-    sweep = run_sweep(plan, tmp_path / "sweep", dask=cluster)
+    sweep = run_sweep(plan, tmp_path / "sweep", dask=address)
     assert sweep.trials.num_rows == 80
     assert not any(point["status"] == "refused" for point in sweep.table["points"])
     monkeypatch.setattr(dask_pool, "CONNECT_S", 0.5)
@@ -58,22 +90,18 @@ def test_a_sweep_runs_on_a_cluster_and_tells_when_there_is_none(cluster, tmp_pat
         run_sweep(plan, tmp_path / "other", dask="tcp://127.0.0.1:1")
 
 
-def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path, monkeypatch):
-    from distributed import Client
+def test_same_rows_on_a_cluster_that_loses_a_worker(cluster, tmp_path):
+    address, end_a_worker = cluster
+    ended = []
 
-    monkeypatch.setattr(dask_pool, "CONNECT_S", 60.0)
-    killed = []
-
-    def kill_a_worker(done, _):
-        if not killed and done > 100:
-            with Client(cluster, set_as_default=False) as client:
-                pids = client.run(os.getpid)
-            killed.append(min(pids.values()))
-            os.kill(killed[0], signal.SIGKILL)
+    def lose_a_worker(done, _):
+        if not ended and done > 100:
+            ended.append(done)
+            end_a_worker()
 
     scenario = Scenario.load("cubesat_ideal")
-    done = run_trials(scenario, TRIALS, dask=cluster, folder=tmp_path, progress=kill_a_worker)
-    assert killed
+    done = run_trials(scenario, TRIALS, dask=address, folder=tmp_path, progress=lose_a_worker)
+    assert ended
     assert done.finished == TRIALS
     assert done.workers in (1, 2)  # as many as there were at the last look
     runner = _fake_runner()(scenario)

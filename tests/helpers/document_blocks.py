@@ -90,6 +90,7 @@ _LESS = {
     "study budget": {"--trials": "2", "--workers": "1"},
     "study greyling1995": {"--section": "path"},
     "study yee1999": {"--section": "databases"},
+    "export-c": {"--magnitude-limit": "5"},
 }
 """Options with which a command of a document is run, in place of its own or in addition."""
 

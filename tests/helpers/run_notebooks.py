@@ -7,16 +7,28 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import nbformat
-from nbclient import NotebookClient
+if TYPE_CHECKING:
+    import nbformat
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 
 
+def valid(path: Path) -> nbformat.NotebookNode:
+    """The stored notebook; raises an error if it is not a valid one."""
+    import nbformat  # two seconds, which other tests do not wait for
+
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    return notebook
+
+
 def executed(path: Path) -> nbformat.NotebookNode:
     """The notebook with the outputs of a run from its first cell to its last, in a kernel of its own."""
-    notebook = nbformat.read(path, as_version=4)
+    from nbclient import NotebookClient
+
+    notebook = valid(path)
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
     notebook.metadata.pop("widgets", None)
@@ -29,6 +41,8 @@ def executed(path: Path) -> nbformat.NotebookNode:
 
 def main(names: list[str]) -> None:
     """Execute the named notebooks, or all, and write them with their outputs."""
+    import nbformat
+
     for path in sorted(FOLDER.glob("*.ipynb")):
         if not names or path.stem in names:
             nbformat.write(executed(path), path)

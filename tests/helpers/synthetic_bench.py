@@ -106,11 +106,14 @@ def _gaussian(at, sigma):
 def deposit(image, xy, light, sigma, half=5):
     """Add Gaussian images, integrated over the pixels."""
     height, width = image.shape
+    down = np.empty(2 * half + 1)
     for n in range(len(xy)):
         if not (-half < xy[n, 0] < width + half and -half < xy[n, 1] < height + half):
             continue
         x0, y0 = round(xy[n, 0]), round(xy[n, 1])
+        for k in range(2 * half + 1):
+            down[k] = _gaussian(y0 - half + k - xy[n, 1], sigma)
         for x in range(max(x0 - half, 0), min(x0 + half + 1, width)):
             across = light[n] * _gaussian(x - xy[n, 0], sigma)
             for y in range(max(y0 - half, 0), min(y0 + half + 1, height)):
-                image[y, x] += across * _gaussian(y - xy[n, 1], sigma)
+                image[y, x] += across * down[y - y0 + half]

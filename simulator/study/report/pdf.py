@@ -106,8 +106,8 @@ class Paper:
         if self.sheet is None or height_in > self.room_in:
             self.end()
             self.number += 1
-            self.sheet = Figure(figsize=(WIDTH_IN, HEIGHT_IN), facecolor=BACK)
-            self.sheet.set_layout_engine("none")
+            # without a layout engine from the start `savefig` draws once
+            self.sheet = Figure(figsize=(WIDTH_IN, HEIGHT_IN), facecolor=BACK, layout="none")
             self.top_in = MARGIN_IN
             self._put(MARGIN_IN, HEIGHT_IN - 0.4, f"{self.footer}, page {self.number}", 7, color=SOFT)
         return self.sheet

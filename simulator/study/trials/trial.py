@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -72,8 +73,7 @@ def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
     section = scenario.tracker
     catalog: str | StarCatalog = section.catalog
     if section.catalogue_errors != CatalogueErrors():
-        streamed = stream(scenario.seed, "catalogue errors")
-        catalog = with_errors(load_catalog(section.catalog), section.catalogue_errors, streamed)
+        catalog = _erroneous(load_catalog(section.catalog), section.catalogue_errors, scenario.seed)
     return StarTracker(
         camera,
         catalog=catalog,
@@ -163,6 +163,12 @@ def galactic_latitude_deg(attitude: Attitude) -> float:
     """Galactic latitude of the boresight, degrees."""
     x, y, z = (GALACTIC @ attitude.boresight).tolist()
     return math.degrees(math.atan2(z, math.hypot(x, y)))
+
+
+@lru_cache(maxsize=2)
+def _erroneous(catalog: StarCatalog, errors: CatalogueErrors, seed: int) -> StarCatalog:
+    """Catalogue with the errors of a seed; the same object again, for which guide stars are selected once."""
+    return with_errors(catalog, errors, stream(seed, "catalogue errors"))
 
 
 class TrialRunner:

@@ -1,0 +1,68 @@
+"""Fuzzing of the flight build (libFuzzer): frames and lists of stars, in both arithmetics.
+
+    python -m benchmarks.flight_fuzz [--seconds 600] [--what frames stars] [--arithmetic fixed float] [--corpus DIR]
+
+A small camera, 72 × 72 pixels makes an execution short; the code is the same for every
+camera. Exits with 1 if anything is found; the input is in the folder of the corpus.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from simulator.study.exported_c.fuzz import FuzzResult, build_fuzzer, run_fuzzer
+from startracker import StarTracker
+from startracker.camera import Camera
+from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.flight.export import flight_export
+
+WHAT = {"frames": 300, "stars": 200}
+"""Fuzzers, and their longest inputs, bytes."""
+
+
+def fuzz_design(arithmetic: str) -> FlightDesign:
+    """A small camera whose fields have seven guide stars on average."""
+    tracker = StarTracker(Camera.from_fov(8.0, 72, 72), magnitude_limit=5.4)
+    numbers = DetectorNumbers(1.0, 5.0, 4095)
+    settings = tracker.detection, tracker.centroid, tracker.identification
+    return FlightDesign(tracker.camera, tracker.guide, numbers, 0.9, *settings, arithmetic, name="fuzz")
+
+
+def fuzz(what: str, arithmetic: str, seconds: int, corpus: Path, folder: Path) -> FuzzResult:
+    """Build a fuzzer in a folder and run it."""
+    export = flight_export(fuzz_design(arithmetic))
+    program = build_fuzzer(export, export.files[f"fuzz_{what}.c"], folder)
+    return run_fuzzer(program, corpus, seconds, WHAT[what])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns 1 if something is found."""
+    made = argparse.ArgumentParser(prog="python -m benchmarks.flight_fuzz", description=__doc__.splitlines()[0])
+    made.add_argument("--seconds", type=int, default=600, help="of each fuzzer")
+    made.add_argument("--what", nargs="*", default=list(WHAT), choices=list(WHAT))
+    made.add_argument("--arithmetic", nargs="*", default=["fixed", "float"])
+    made.add_argument("--corpus", type=Path, help="folder that keeps the inputs")
+    options = made.parse_args(arguments)
+    found = 0
+    for arithmetic in options.arithmetic:
+        for what in options.what:
+            with tempfile.TemporaryDirectory() as folder:
+                kept = (options.corpus or Path(folder)) / f"{what}_{arithmetic}"
+                result = fuzz(what, arithmetic, options.seconds, kept, Path(folder))
+                for crash in Path(folder).glob("*-*"):
+                    if crash.name.startswith(("crash", "timeout", "oom", "leak")):
+                        crash.rename(kept.parent / crash.name)
+            found += bool(result.finding)
+            print(
+                f"{what}, {arithmetic}: {result.executions:,} executions in {result.seconds:.0f} s, "
+                f"{result.edges} edges, {result.finding or 'nothing found'}",
+                flush=True,
+            )
+    return int(found > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
