@@ -269,15 +269,17 @@ static int64_t trail_variance(const struct tracker_front_object *object)
            + TRAIL_ENDS;
 }
 
-/* Trails of one motion, where they are so many that they are the stars; whether they are. */
+/* Trails of one motion, where they are so many that they are the stars, or the stars of stamps are moved as well;
+ * whether they alone are the stars. */
 static int list_trails(struct tracker_front *front, struct tracker_star *list, int *count)
 {
     const struct tracker_front_object *object;
     int32_t middle[3];
     int64_t off[3];
+    int moved = front->work.measures.trail_x != 0 || front->work.measures.trail_y != 0;
     int n, k, trails = 0, points = 0, listed = 0;
 
-    for (n = 0; n < front->candidates; n++)
+    for (n = 0; n < front->candidates && !moved; n++)
         points += front->work.measures.fit[n].good;
     for (n = 0; n < front->objects; n++)
         trails += is_trail(&front->object[n]);
@@ -295,7 +297,7 @@ static int list_trails(struct tracker_front *front, struct tracker_star *list, i
         keep_object_star(object, trail_variance(object), TRACKER_ELONGATED, list, count);
         listed = 1;
     }
-    return listed;
+    return listed && !moved;
 }
 
 int tracker_front_finish(struct tracker_front *front, struct tracker_star star[TRACKER_MAX_STARS])
