@@ -66,7 +66,7 @@ static enum tracker_time check_time(struct tracker_following *f, int64_t time_us
 
 static int propagate(struct tracker_following *f, int64_t step_us, int measured)
 {
-    const int64_t extra = measured && TRACKER_FOLLOWING_GYRO ? 0 : TRACKER_FOLLOWING_EXTRA_PSD;
+    const int64_t extra = measured ? 0 : TRACKER_FOLLOWING_EXTRA_PSD;
     const tracker_real step = tracker_over(tracker_real_of(step_us, 0), tracker_real_of(1000000, 0));
     tracker_real psd[3];
 
@@ -143,7 +143,7 @@ enum tracker_time tracker_following_predict(struct tracker_following *following,
             if (gyro && TRACKER_FOLLOWING_GYRO)
                 for (k = 0; k < 3; k++)
                     f->rate[k] = tracker_subtract(tracker_real_of(gyro[k], TRACKER_ANGLE_BITS - 30), f->bias[k]);
-            if (step_us > LONGEST_US || !propagate(f, step_us, gyro ? 1 : 0)
+            if (step_us > LONGEST_US || !propagate(f, step_us, gyro && TRACKER_FOLLOWING_GYRO)
                 || !tracker_less(uncertainty(f), tracker_real_of(USELESS, 0)))
                 forget(f);
         }
