@@ -3,7 +3,7 @@
 #include "tracker_search.h"
 
 #define MOST_OTHERS 48
-#define MOST_RATIO ((int64_t)1 << 16)
+#define MOST_RATIO ((int64_t)1 << 15)
 #define LARGEST_VARIANCE ((int64_t)1 << 42)
 #define ONE_RADIAN ((int64_t)1 << 28)
 #define CANDIDATE_STEPS 30

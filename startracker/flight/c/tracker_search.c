@@ -17,6 +17,7 @@
 #define AS_STATED 3
 #define QUICK 2
 #define LOG_SIX_PI 17352
+#define MOST_VARIANCE ((int64_t)1 << 46)
 #define ONE_RADIAN ((int64_t)1 << 28)
 #define PRIOR_SIGMAS2 3969
 
@@ -37,7 +38,7 @@ static void take_stars(struct tracker_search *search, const struct tracker_star 
         k = search->count++;
         search->index[k] = (uint8_t)n;
         search->direction[k] = direction[n];
-        search->variance[k] = (stated * TRACKER_SEARCH_PIXEL2) >> 16;
+        search->variance[k] = tracker_smaller((stated * (TRACKER_SEARCH_PIXEL2 >> 4)) >> 12, MOST_VARIANCE);
         if (star[n].flux <= 0)
             search->brightness = 0;
         else
