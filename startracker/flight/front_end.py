@@ -25,7 +25,7 @@ from startracker.arrays import BoolArray, IntArray
 from startracker.errors import InputError
 from startracker.flight.front_background import square_root
 from startracker.flight.front_components import LONG, Objects, at_border, find_objects, saturated_stars
-from startracker.flight.front_fit import Fits, fit_stars, misfit_variance
+from startracker.flight.front_fit import Fits, fit_beside, fit_stars, misfit_variance
 from startracker.flight.front_rows import Candidates, find_candidates, search_rows
 from startracker.flight.front_stamps import (
     frame_image,
@@ -41,6 +41,11 @@ __all__ = ["FrontFrame", "FrontTables", "front_arrays", "front_constants", "fron
 
 _APART = 2 << 16
 """Fits nearer than this along both axes are of one star."""
+_NEAR_PEAK = 3 << 14
+"""From its highest pixel the image of a star is no farther along an axis, 3/4 px; its first moment may be, beside
+another star."""
+_ROUNDS = 3
+"""Of fits with the neighbours' light taken off."""
 _FLAT_TOP = 167772
 """0.05² px², as of `startracker.centroid.window`, 26 fraction bits."""
 _TRAIL_ENDS = 671089
@@ -88,13 +93,17 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
     good, owned = select_candidates(found, objects, full)
     shared = frame_image(found, shapes, good, tables)
     good &= shapes.valid & ~shapes.sharp & ~parts_of_trails(found, shared)
-    fits = fit_stars(found, shapes, shared, tables)
+    near = np.where(owned.any(axis=1) | shared.moved, 1 << 30, _NEAR_PEAK)
+    start = np.clip(shapes.x, -near, near), np.clip(shapes.y, -near, near)
+    fits = fit_stars(found, start, np.zeros_like(found.stamp), shared, tables)
     fits = fits._replace(star=_alone(found, fits, good & fits.star))
+    for _ in range(_ROUNDS):
+        fits = fit_beside(found, fits, shared, tables)
     full &= ~owned[fits.star].any(axis=0)
     flags = np.where(owned.any(axis=1), SATURATED_STAR, 0) + (ELONGATED if shared.moved else 0)
     x, y = (found.x << 16) + fits.x, (found.y << 16) + fits.y
     points = StarList(x, y, fits.flux, misfit_variance(fits, tables), flags).take(fits.star)
-    stars = _listed(points, _saturated_stars(objects, full, tables), objects, tables)
+    stars = _listed(points, _saturated_stars(objects, full, tables), objects, shared.moved, tables)
     count = int(np.count_nonzero(pixels >= tables.saturation))
     return FrontFrame(stars, count, int(pixels.min()), int(pixels.max()))
 
@@ -109,10 +118,10 @@ def _alone(found: Candidates, fits: Fits, star: BoolArray) -> BoolArray:
     return star
 
 
-def _listed(points: StarList, full: StarList, objects: Objects, tables: FrontTables) -> StarList:
-    """List of the stars, the brightest first."""
-    trails = _trailed_stars(objects, len(points.x), tables)
-    parts = (full, trails if len(trails.x) else points)
+def _listed(points: StarList, full: StarList, objects: Objects, moved: bool, tables: FrontTables) -> StarList:
+    """List of the stars, the brightest first: without points where trails are the stars, unless both are."""
+    trails = _trailed_stars(objects, 0 if moved else len(points.x), tables)
+    parts = (full, trails, points) if moved or not len(trails.x) else (full, trails)
     stars = StarList(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     return stars.take(np.lexsort((stars.x, stars.y, -stars.flux))[: tables.max_stars])
 

@@ -12,12 +12,14 @@ import numpy as np
 from startracker.arrays import BoolArray, IntArray
 from startracker.flight.front_background import square_root
 from startracker.flight.front_rows import Candidates
-from startracker.flight.front_stamps import Shapes, StarImage, inside_frame
+from startracker.flight.front_stamps import StarImage, inside_frame
 from startracker.flight.front_tables import HALF, FrontTables
 from startracker.flight.stars import MOST_VARIANCE
 
 ITERATIONS = 8
-_NODES = 4
+_NODES = 8
+_NEIGHBOUR = 10
+"""Pixels along each axis within which the light of another star is taken off."""
 _LONGEST_STEP = 1 << 15
 _FARTHEST = 5 << 15
 """From the middle of the stamp, 16 fraction bits."""
@@ -80,7 +82,7 @@ def _profiles(offset: IntArray, inverse: int, tables: FrontTables) -> tuple[IntA
 
 def _images(x: IntArray, y: IntArray, shared: StarImage, tables: FrontTables) -> tuple[IntArray, IntArray, IntArray]:
     """Image and its slopes along x and y in the pixels of stamps (N, 11, 11), 15 fraction bits."""
-    nodes, less = (_NODES, 2) if shared.moved else (1, 0)
+    nodes, less = (_NODES, 3) if shared.moved else (1, 0)
     image, slope_x, slope_y = np.zeros((3, len(x), 2 * HALF + 1, 2 * HALF + 1), np.int64)
     for node in range(nodes):
         steps = 2 * node - nodes + 1
@@ -120,15 +122,18 @@ def _sums(weight: IntArray, *factors: IntArray) -> IntArray:
     return np.asarray(product.sum(axis=(1, 2)))
 
 
-def fit_stars(found: Candidates, shapes: Shapes, shared: StarImage, tables: FrontTables) -> Fits:
+def fit_stars(
+    found: Candidates, start: tuple[IntArray, IntArray], other: IntArray, shared: StarImage, tables: FrontTables
+) -> Fits:
     """Fisher scoring in flux, x and y over a window, a fixed number of steps.
 
-    Each step solves for x and y with the flux marginalised, and for the flux alone: the solution of both is that of
-    greatest likelihood.
+    `start` are positions from the middle of each stamp, 16 fraction bits; `other` (N, 11, 11) is light of other stars,
+    DN of 4 fraction bits. Each step solves for x and y with the flux marginalised, and for the flux alone: the solution
+    of both is that of greatest likelihood.
     """
     window = _window(found, shared.half, tables)
-    data = np.where(window, (found.stamp << 4) - (found.level >> 4)[:, None, None], 0)
-    noise, x, y = _noise_of(found, tables), shapes.x, shapes.y
+    data = np.where(window, (found.stamp << 4) - (found.level >> 4)[:, None, None] - other, 0)
+    noise, (x, y) = _noise_of(found, tables), start
     flux, used, longest = np.full(len(x), _LEAST_FLUX), window.sum(axis=(1, 2)), np.zeros(len(x), np.int64)
     good = used > 3
     for step in range(ITERATIONS + 1):
@@ -164,6 +169,20 @@ def fit_stars(found: Candidates, shapes: Shapes, shared: StarImage, tables: Fron
     chi2, alone = _misfits(data, left, weight, noise)
     good &= (alone + _HOT_ODDS >= chi2) & (variance <= shared.variance << 18)
     return Fits(x, y, flux, variance, chi2, used - 3, good)
+
+
+def fit_beside(found: Candidates, fits: Fits, shared: StarImage, tables: FrontTables) -> Fits:
+    """Fits of stars that have neighbours, with the neighbours' light taken off, as fitted before; the others stay."""
+    near = (np.abs(found.x[:, None] - found.x) <= _NEIGHBOUR) & (np.abs(found.y[:, None] - found.y) <= _NEIGHBOUR)
+    one, two = np.nonzero(near & fits.star[:, None] & fits.star & ~np.eye(len(found.x), dtype=np.bool_))
+    if not len(one):
+        return fits
+    x = (found.x[two] - found.x[one] << 16) + fits.x[two]
+    y = (found.y[two] - found.y[one] << 16) + fits.y[two]
+    other = np.zeros(found.stamp.shape, np.int64)
+    np.add.at(other, one, (fits.flux[two, None, None] * _images(x, y, shared, tables)[0]) >> 15)
+    again, beside = fit_stars(found, (fits.x, fits.y), other, shared, tables), np.isin(np.arange(len(found.x)), one)
+    return Fits(*(np.where(beside, new, old) for new, old in zip(again, fits, strict=True)))
 
 
 def _window(found: Candidates, half: int, tables: FrontTables) -> BoolArray:

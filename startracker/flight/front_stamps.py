@@ -29,6 +29,9 @@ _WIDE = round(256 * SHAPE_VARIANCE_PX2)
 _WIDEST = _WIDE * 29 // 32
 _TRAILED = 90
 """Difference of the principal variances, 8 fraction bits, from which an image is moved along a line, of 2 px."""
+_LINE = 2169
+"""As a line is shorter than a Gaussian of its variance, the weight cuts less from it: a difference d is 1/(1 + d/8.5)
+times as large in px², to 3 % of the length for lines of 2 to 6 px (`tests/statistical/test_flight_front.py`)."""
 _PIXEL = (1 << 24) // 12
 """Variance of a pixel, 24 fraction bits."""
 _ERROR = 1774
@@ -56,7 +59,7 @@ class StarImage(NamedTuple):
     Parameters
     ----------
     trail_x, trail_y : int
-        Distance of its four nodes, 16 fraction bits; (0, 0): it is not moved.
+        Distance of its eight nodes, 16 fraction bits; (0, 0): it is not moved.
     inverse_x, inverse_y : int
         1/σ along both axes, 12 fraction bits.
     half : int
@@ -145,10 +148,11 @@ def frame_image(found: Candidates, shapes: Shapes, good: BoolArray, tables: Fron
     apart = major - minor
     if apart <= _TRAILED:
         return _gaussian(_unweighted(xx), _unweighted(yy), tables)
+    apart = apart * _LINE // (_LINE + apart)
     turned = apart * (xx - yy) // (seen[0] - seen[1])
-    along, across = (math.isqrt(max(2 * twice, 0) // 5 << 24) for twice in (apart + turned, apart - turned))
+    along, across = (math.isqrt(max(2 * twice, 0) // 21 << 24) for twice in (apart + turned, apart - turned))
     image = _gaussian(minor, minor, tables)
-    variance = (major + minor) >> 1
+    variance = minor + (apart >> 1)
     return image._replace(trail_x=along, trail_y=across if xy >= 0 else -across, half=HALF, variance=variance)
 
 
@@ -174,5 +178,5 @@ def parts_of_trails(found: Candidates, image: StarImage) -> BoolArray:
     dx, dy = found.x[:, None] - found.x, found.y[:, None] - found.y
     along, across, square = dx * tx + dy * ty, dx * ty - dy * tx, tx * tx + ty * ty
     higher = np.tri(len(found.x), k=-1, dtype=np.bool_)
-    on_trail = (across * across <= 4 * square) & (np.abs(along) << 8 <= 4 * square)
+    on_trail = (across * across <= 4 * square) & (np.abs(along) << 8 <= 8 * square)
     return np.asarray((higher & on_trail).any(axis=1) & (square > 0))

@@ -5,6 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from simulator.randomness import stream
+from simulator.study.exported_c.targets import HOST
+from simulator.study.flight.program import FlightProgram, list_text
 from startracker import load_catalog
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
@@ -89,3 +91,24 @@ def test_a_turn_that_nobody_predicted(tracker):
         assert away_px(answer.matrix, seen) < 0.2
         assert answer.prior_contradicted == (k in (8, 9))
     assert results[8:] == [REJECTED, RESTARTED, USED, USED]
+
+
+@pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine")
+def test_the_program_follows_the_same_sequence_bit_for_bit(tracker, tmp_path):
+    rng, texts, expected = stream(3, "session"), [], []
+    session = FlightSession(tracker, following_tables())
+    jump = Rotation.from_rotvec([np.radians(5.0), 0.0, 0.0]).as_matrix()
+    times = [0, 200_000, 400_000, 600_000, 500_000, 800_000, 800_000, 1_000_000, 1_200_000, 1_400_000, 100, 300]
+    for k, (matrix, time_us) in enumerate(zip(attitudes(rng, 1.0, len(times)), times, strict=True)):
+        stars = stars_at(tracker, rng, jump @ matrix if k >= 8 else matrix)
+        stars = stars.take(np.arange(0 if k == 5 else len(stars.x)))
+        texts.append(list_text(stars, time_us=time_us))
+        expected.append(session.update_stars(stars, time_us))
+    for found, followed in zip(FlightProgram(tracker.design, tmp_path).sequence(texts), expected, strict=True):
+        assert found.counts["filter"] == followed.result
+        if followed.time == TIME_BAD:
+            assert found.status == "bad_time"
+        elif followed.answer.solved:
+            assert found.quaternion == tuple(followed.answer.quaternion.tolist())
+            assert found.covariance == tuple(followed.answer.covariance.ravel().tolist())
+    assert {BEGUN, USED, REJECTED, RESTARTED, COASTING} == {followed.result for followed in expected}

@@ -28,7 +28,8 @@ class ProgramAnswer(NamedTuple):
     status: str
     reason: str
     counts: dict[str, int]
-    """``stars``, ``matched``, ``used``, ``evidence``, ``chance``, ``steps``, ``contradicted``."""
+    """``stars``, ``matched``, ``used``, ``evidence``, ``chance``, ``steps``, ``contradicted``; of a sequence
+    ``filter``."""
     quaternion: tuple[int, ...] = ()
     """x, y, z, w of 2.30; empty unless solved, as all that follows."""
     covariance: tuple[int, ...] = ()
@@ -67,7 +68,9 @@ def velocity_of(velocity_km_s: ArrayLike | None) -> tuple[int, ...]:
     return tuple(np.rint(np.asarray(velocity_km_s, dtype=float) / SPEED_OF_LIGHT_KM_S * _ONE).astype(int).tolist())
 
 
-def list_text(stars: StarList, velocity: Sequence[int] = (0, 0, 0), prior: Sequence[int] = ()) -> str:
+def list_text(
+    stars: StarList, velocity: Sequence[int] = (0, 0, 0), prior: Sequence[int] = (), time_us: int | None = None
+) -> str:
     """A list as the program reads it.
 
     Parameters
@@ -77,8 +80,12 @@ def list_text(stars: StarList, velocity: Sequence[int] = (0, 0, 0), prior: Seque
         Of the observer over that of light, 2.30.
     prior : ten ints, optional
         Matrix of 2.30 by rows, and the radius with 28 fraction bits.
+    time_us : int, optional
+        Of a sequence.
     """
     lines = [f"velocity {' '.join(map(str, velocity))}"]
+    if time_us is not None:
+        lines.append(f"time {time_us}")
     if len(prior):
         lines.append(f"prior {' '.join(map(str, prior))}")
     lines += [" ".join(map(str, row)) for row in zip(*(column.tolist() for column in stars), strict=True)]
@@ -116,4 +123,9 @@ class FlightProgram:
     def lists(self, texts: Sequence[str]) -> list[ProgramAnswer]:
         """Answers for lists from `list_text`."""
         printed = self.build.run("".join(texts).encode(), "stars")
+        return [parse_answer(line) for line in printed.decode().splitlines()]
+
+    def sequence(self, texts: Sequence[str]) -> list[ProgramAnswer]:
+        """Answers of the filter for lists from `list_text` with times; ``bad_time`` for times that cannot be used."""
+        printed = self.build.run("".join(texts).encode(), "follow")
         return [parse_answer(line) for line in printed.decode().splitlines()]

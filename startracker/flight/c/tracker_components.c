@@ -176,7 +176,15 @@ static void complete(struct tracker_front *front, const struct tracker_front_com
         return;
     object.light = component->sums.light;
     object.x = object.y = object.xx = object.yy = object.xy = 0;
-    object.kind = 0;
+    object.kind = object.star = 0;
+    object.pixels = component->pixels;
+    object.noise = component->noise;
+    object.first_x = component->first_x;
+    object.first_y = component->first_y;
+    object.left = component->left;
+    object.right = component->right;
+    object.top = component->top;
+    object.bottom = component->bottom;
     if (component->pixels > TRACKER_FRONT_LARGEST) {
         object.light = ((int64_t)1 << 40) + component->pixels;
         object.kind = TRACKER_FRONT_LARGE;
@@ -192,14 +200,6 @@ static void complete(struct tracker_front *front, const struct tracker_front_com
         else if (axes[0] > LONG_VARIANCE)
             object.kind = TRACKER_FRONT_LONG;
     }
-    object.pixels = component->pixels;
-    object.noise = component->noise;
-    object.first_x = component->first_x;
-    object.first_y = component->first_y;
-    object.left = component->left;
-    object.right = component->right;
-    object.top = component->top;
-    object.bottom = component->bottom;
     object.star = is_star(&object, axes);
     if (object.kind > 0)
         keep_object(front, &object);

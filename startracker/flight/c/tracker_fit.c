@@ -4,7 +4,8 @@
 #define SIDE TRACKER_FRONT_SIDE
 #define HALF TRACKER_FRONT_HALF
 #define ITERATIONS 8
-#define NODES 4
+#define NODES 8
+#define NEIGHBOUR 10 /* pixels along each axis within which the light of another star is taken off */
 #define LONGEST_STEP (1 << 15)
 #define FARTHEST (5 << 15)
 #define CONVERGED (1 << 11)
@@ -92,7 +93,7 @@ static void make_images(const struct fitted *fitted, int32_t x, int32_t y)
 {
     struct tracker_front_measures *m = fitted->measures;
     int32_t share_x[SIDE], share_y[SIDE], slope_x[SIDE], slope_y[SIDE], steps;
-    int moved = m->trail_x != 0 || m->trail_y != 0, nodes = moved ? NODES : 1, less = moved ? 2 : 0;
+    int moved = m->trail_x != 0 || m->trail_y != 0, nodes = moved ? NODES : 1, less = moved ? 3 : 0;
     int node, i, j, k;
 
     for (node = 0; node < nodes; node++) {
@@ -266,7 +267,38 @@ static void set_window(struct fitted *fitted)
     fitted->last = HALF + half;
 }
 
-/* Data and noise of a star, and its flux by unweighted least squares. */
+int tracker_front_neighbours(const struct tracker_front *front, int candidate, int other)
+{
+    const uint16_t *order = front->work.measures.order;
+    const struct tracker_front_candidate *a = &front->candidate[order[candidate]], *b = &front->candidate[order[other]];
+
+    return other != candidate && front->work.measures.neighbour[other].flux > 0 && a->x <= b->x + NEIGHBOUR
+           && b->x <= a->x + NEIGHBOUR && a->y <= b->y + NEIGHBOUR && b->y <= a->y + NEIGHBOUR;
+}
+
+/* The stamp's pixels above the background, without the light of the neighbours. */
+static void set_data(const struct tracker_front *front, const struct fitted *fitted, int candidate)
+{
+    struct tracker_front_measures *m = fitted->measures;
+    const struct tracker_front_candidate *c = fitted->candidate, *other;
+    const struct tracker_front_neighbour *neighbour;
+    int n, i, j;
+
+    for (n = 0; n < SIDE * SIDE; n++)
+        m->data[n] = (int32_t)c->stamp[n] * 16 - (int32_t)tracker_shift_right(c->level, 4);
+    for (n = 0; n < front->candidates; n++) {
+        if (!tracker_front_neighbours(front, candidate, n))
+            continue;
+        other = &front->candidate[m->order[n]];
+        neighbour = &m->neighbour[n];
+        make_images(fitted, (other->x - c->x) * 65536 + neighbour->x, (other->y - c->y) * 65536 + neighbour->y);
+        for (j = fitted->first; j <= fitted->last; j++)
+            for (i = fitted->first; i <= fitted->last; i++)
+                m->data[j * SIDE + i] -= light_at(fitted, neighbour->flux, j * SIDE + i);
+    }
+}
+
+/* Noise of a star, and its flux by unweighted least squares. */
 static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
 {
     struct tracker_front_measures *m = fitted->measures;
@@ -274,7 +306,6 @@ static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
     int i, j, k;
     int64_t above = 0, below = 0;
 
-    set_window(fitted);
     fitted->square = (int64_t)c->noise * c->noise;
     fitted->photon = limited(TRACKER_FRONT_GAIN / fitted->square, 0, (int64_t)1 << 34);
     fitted->flat = ((int64_t)1 << 40) / fitted->square;
@@ -285,7 +316,6 @@ static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
             if (!is_used(fitted, i, j))
                 continue;
             k = j * SIDE + i;
-            m->data[k] = (int32_t)c->stamp[k] * 16 - (int32_t)tracker_shift_right(c->level, 4);
             above += (int64_t)m->image[0][k] * m->data[k];
             below += (int64_t)m->image[0][k] * m->image[0][k];
             fitted->used++;
@@ -306,6 +336,8 @@ void tracker_front_fit_star(struct tracker_front *front, int candidate)
 
     fitted.candidate = &front->candidate[measures->order[candidate]];
     fitted.measures = measures;
+    set_window(&fitted);
+    set_data(front, &fitted, candidate);
     begin(&fitted, fit);
     fit->freedom = fitted.used - 3;
     fit->good = fitted.used > 3;

@@ -4,6 +4,8 @@
 #define LAG TRACKER_FRONT_LAG
 #define BLOCK TRACKER_FRONT_BLOCK
 #define APART (2 << 16)        /* fits nearer than this along both axes are of one star */
+#define NEAR_PEAK (3 << 14)    /* from its highest pixel a star's image is no farther along an axis */
+#define ROUNDS 3               /* of fits with the neighbours' light taken off */
 #define FLAT_TOP 167772        /* 0.05^2 square pixels */
 #define TRAIL_ENDS 671089      /* 0.1^2 square pixels */
 #define FEWEST_LONG 4          /* trails that make a frame trailed, */
@@ -85,6 +87,11 @@ static void keep_star(struct tracker_star *list, int *count, const struct tracke
     list[n] = *star;
 }
 
+static int32_t near_peak(int32_t x)
+{
+    return x < -NEAR_PEAK ? -NEAR_PEAK : x > NEAR_PEAK ? NEAR_PEAK : x;
+}
+
 /* Fits of candidates; those that end on a higher star do not count. */
 static void fit_candidates(struct tracker_front *front)
 {
@@ -94,8 +101,14 @@ static void fit_candidates(struct tracker_front *front)
     int64_t dx, dy;
     int n, m;
 
+    for (n = 0; n < front->candidates; n++)
+        measures->neighbour[n].flux = 0;
     for (n = 0; n < front->candidates; n++) {
         fit = &measures->fit[n];
+        if (!fit->full && measures->trail_x == 0 && measures->trail_y == 0) {
+            fit->x = near_peak(fit->x);
+            fit->y = near_peak(fit->y);
+        }
         if (fit->good)
             tracker_front_fit_star(front, n);
         a = &front->candidate[measures->order[n]];
@@ -107,6 +120,29 @@ static void fit_candidates(struct tracker_front *front)
             dy = (int64_t)(a->y - b->y) * 65536 + fit->y - measures->fit[m].y;
             fit->good = tracker_magnitude(dx) >= APART || tracker_magnitude(dy) >= APART;
         }
+    }
+}
+
+/* Fits of stars that have neighbours, with the neighbours' light taken off, as fitted before. */
+static void fit_beside(struct tracker_front *front)
+{
+    struct tracker_front_measures *measures = &front->work.measures;
+    const struct tracker_front_fit *fit;
+    int n, m;
+
+    for (n = 0; n < front->candidates; n++) {
+        fit = &measures->fit[n];
+        measures->neighbour[n].x = fit->good ? fit->x : 0;
+        measures->neighbour[n].y = fit->good ? fit->y : 0;
+        measures->neighbour[n].flux = fit->good ? fit->flux : 0;
+    }
+    for (n = 0; n < front->candidates; n++) {
+        if (measures->neighbour[n].flux == 0)
+            continue;
+        for (m = 0; m < front->candidates && !tracker_front_neighbours(front, n, m); m++)
+            ;
+        if (m < front->candidates)
+            tracker_front_fit_star(front, n);
     }
 }
 
@@ -233,15 +269,17 @@ static int64_t trail_variance(const struct tracker_front_object *object)
            + TRAIL_ENDS;
 }
 
-/* Trails of one motion, where they are so many that they are the stars; whether they are. */
+/* Trails of one motion, where they are so many that they are the stars, or the stars of stamps are moved as well;
+ * whether they alone are the stars. */
 static int list_trails(struct tracker_front *front, struct tracker_star *list, int *count)
 {
     const struct tracker_front_object *object;
     int32_t middle[3];
     int64_t off[3];
+    int moved = front->work.measures.trail_x != 0 || front->work.measures.trail_y != 0;
     int n, k, trails = 0, points = 0, listed = 0;
 
-    for (n = 0; n < front->candidates; n++)
+    for (n = 0; n < front->candidates && !moved; n++)
         points += front->work.measures.fit[n].good;
     for (n = 0; n < front->objects; n++)
         trails += is_trail(&front->object[n]);
@@ -259,7 +297,7 @@ static int list_trails(struct tracker_front *front, struct tracker_star *list, i
         keep_object_star(object, trail_variance(object), TRACKER_ELONGATED, list, count);
         listed = 1;
     }
-    return listed;
+    return listed && !moved;
 }
 
 int tracker_front_finish(struct tracker_front *front, struct tracker_star star[TRACKER_MAX_STARS])
@@ -273,6 +311,8 @@ int tracker_front_finish(struct tracker_front *front, struct tracker_star star[T
         advance(front, y);
     tracker_front_shapes(front);
     fit_candidates(front);
+    for (y = 0; y < ROUNDS; y++)
+        fit_beside(front);
     list_saturated(front, star, &count);
     if (!list_trails(front, star, &count))
         list_points(front, star, &count);

@@ -86,6 +86,11 @@ struct tracker_front_fit {
     uint8_t good, valid, sharp;
 };
 
+/* A star as it was fitted before; without flux: none. */
+struct tracker_front_neighbour {
+    int32_t x, y, flux;
+};
+
 /* Thereafter. */
 struct tracker_front_measures {
     uint16_t order[TRACKER_FRONT_POOL];   /* candidates, the highest first */
@@ -94,6 +99,7 @@ struct tracker_front_measures {
      * half side of the window of a fit, mean variance with the pixel's (square pixels, 8) */
     int32_t trail_x, trail_y, inverse_x, inverse_y, variance;
     int half;
+    struct tracker_front_neighbour neighbour[TRACKER_FRONT_POOL];
     int32_t data[TRACKER_FRONT_SIDE * TRACKER_FRONT_SIDE];
     int32_t image[3][TRACKER_FRONT_SIDE * TRACKER_FRONT_SIDE];
     int32_t middle[TRACKER_FRONT_OBJECTS];

@@ -29,6 +29,7 @@ int tracker_front_boxed(const struct tracker_front_candidate *candidate, const s
 int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row);
 
 /* tracker_fit.c */
-void tracker_front_fit_star(struct tracker_front *front, int candidate);
+void tracker_front_fit_star(struct tracker_front *front, int candidate); /* without the light of the neighbours */
+int tracker_front_neighbours(const struct tracker_front *front, int candidate, int other); /* that have a flux */
 
 #endif

@@ -14,6 +14,7 @@
 #define WIDE TRACKER_FRONT_WIDE
 #define WIDEST (WIDE * 29 / 32)
 #define TRAILED 90         /* square pixels, 8 fraction bits */
+#define LINE 2169          /* a line under the weight: see startracker/flight/front_stamps.py */
 #define PIXEL (((int64_t)1 << 24) / 12) /* variance of a pixel, 24 fraction bits */
 #define ERROR_OF_SHAPE 1774
 
@@ -184,7 +185,7 @@ static int32_t unweighted(int32_t seen)
 
 static int32_t node_distance(int32_t twice)
 {
-    return twice > 0 ? (int32_t)tracker_square_root((int64_t)(2 * twice / 5) << 24) : 0;
+    return twice > 0 ? (int32_t)tracker_square_root((int64_t)(2 * twice / 21) << 24) : 0;
 }
 
 static int32_t inverse_sigma(int32_t variance)
@@ -213,24 +214,24 @@ static void set_gaussian(struct tracker_front_measures *measures, int32_t xx, in
 /* The image of these median moments under the weight. */
 static void set_image(struct tracker_front_measures *measures, const int32_t moments[3])
 {
-    int32_t seen[2], major, minor, turned;
+    int32_t seen[2], minor, apart, turned;
 
     tracker_front_principal(moments, seen);
-    major = unweighted(seen[0]);
     minor = unweighted(seen[1]);
-    if (major - minor <= TRAILED) {
+    apart = unweighted(seen[0]) - minor;
+    if (apart <= TRAILED) {
         set_gaussian(measures, unweighted(moments[0]), unweighted(moments[1]));
         return;
     }
     set_gaussian(measures, minor, minor);
-    turned = (int32_t)tracker_floor_quotient((int64_t)(major - minor) * (moments[0] - moments[1]),
-                                             (int64_t)seen[0] - seen[1]);
-    measures->trail_x = node_distance(major - minor + turned);
-    measures->trail_y = node_distance(major - minor - turned);
+    apart = apart * LINE / (LINE + apart);
+    turned = (int32_t)tracker_floor_quotient((int64_t)apart * (moments[0] - moments[1]), (int64_t)seen[0] - seen[1]);
+    measures->trail_x = node_distance(apart + turned);
+    measures->trail_y = node_distance(apart - turned);
     if (moments[2] < 0)
         measures->trail_y = -measures->trail_y;
     measures->half = HALF;
-    measures->variance = (major + minor) >> 1;
+    measures->variance = minor + (apart >> 1);
 }
 
 static void find_image(struct tracker_front *front)
@@ -267,7 +268,7 @@ static int is_on_trail(const struct tracker_front_measures *measures, const stru
     int64_t dx = a->x - b->x, dy = a->y - b->y;
     int64_t along = dx * tx + dy * ty, across = dx * ty - dy * tx, square = tx * tx + ty * ty;
 
-    return square > 0 && across * across <= 4 * square && tracker_magnitude(along) * 256 <= 4 * square;
+    return square > 0 && across * across <= 4 * square && tracker_magnitude(along) * 256 <= 8 * square;
 }
 
 void tracker_front_shapes(struct tracker_front *front)

@@ -5,6 +5,9 @@
  *     solve stars < FILE                lists: a line "x y flux variance flags" for each star, brightest first, integers
  *                                       as in struct tracker_star; an empty line ends a list. Lines before its stars:
  *                                       "velocity VX VY VZ", and "prior" with nine numbers of the matrix and the radius
+ *     solve follow < FILE               the same lists as a sequence: each has a line "time US", microseconds, and may have a
+ *                                       line "gyro X Y Z", rad/s times 2^30; answers are those of the filter, and have
+ *                                       filter= (enum tracker_following_result); "bad_time" if the time cannot be used
  *     solve version                     what this program was made from
  *
  * VX VY VZ is the velocity of the observer over that of light, ICRS axes, times 2^30.
@@ -53,13 +56,16 @@ static void print_wide(int64_t value)
     printf("%s%s", value < 0 ? "-" : "", &text[at]);
 }
 
-static void print_answer(const struct tracker_answer *answer)
+/* Prints an answer; filter: result of the filter, -1 without one. */
+static void print_answer(const struct tracker_answer *answer, int filter)
 {
     int k;
 
     printf("%s %s stars=%d matched=%d used=%d evidence=%ld chance=%ld steps=%ld contradicted=%d", statuses[answer->status],
            reasons[answer->reason], answer->stars, answer->matched, answer->used, (long)answer->evidence,
            (long)answer->chance, (long)answer->steps, answer->prior_contradicted);
+    if (filter >= 0)
+        printf(" filter=%d", filter);
     if (answer->status == TRACKER_SOLVED) {
         printf(" quaternion=");
         for (k = 0; k < 4; k++) {
@@ -100,7 +106,7 @@ static int solve_frames(struct tracker_context *context, const struct tracker_fr
             tracker_row(context, row);
         }
         tracker_finish(context, &answer);
-        print_answer(&answer);
+        print_answer(&answer, -1);
     }
 }
 
@@ -126,9 +132,18 @@ static struct tracker_vector vector(const long long *numbers)
     return made;
 }
 
-/* Reads a line of a list into the stars or what is known of the frame; 0: it is neither. */
-static int read_line(const char *line, struct tracker_frame_info *info, struct tracker_star *star, int *count)
+/* A list, and what is known of its frame. */
+struct list {
+    struct tracker_frame_info info;
+    int32_t gyro[3];
+    int has_gyro, count, open;
+    struct tracker_star star[TRACKER_MAX_STARS];
+};
+
+/* Reads a line of a list; 0: it is none. */
+static int read_line(const char *line, struct list *list)
 {
+    struct tracker_frame_info *info = &list->info;
     long long n[10];
     int k;
 
@@ -136,6 +151,16 @@ static int read_line(const char *line, struct tracker_frame_info *info, struct t
         if (!read_numbers(line + 9, 3, n))
             return 0;
         info->velocity = vector(n);
+    } else if (strncmp(line, "time ", 5) == 0) {
+        if (!read_numbers(line + 5, 1, n))
+            return 0;
+        info->time_us = n[0];
+    } else if (strncmp(line, "gyro ", 5) == 0) {
+        if (!read_numbers(line + 5, 3, n))
+            return 0;
+        for (k = 0; k < 3; k++)
+            list->gyro[k] = (int32_t)n[k];
+        list->has_gyro = 1;
     } else if (strncmp(line, "prior ", 6) == 0) {
         if (!read_numbers(line + 6, 10, n))
             return 0;
@@ -145,8 +170,8 @@ static int read_line(const char *line, struct tracker_frame_info *info, struct t
     } else {
         if (!read_numbers(line, 5, n))
             return 0;
-        if (*count < TRACKER_MAX_STARS) {
-            struct tracker_star *read = &star[(*count)++];
+        if (list->count < TRACKER_MAX_STARS) {
+            struct tracker_star *read = &list->star[list->count++];
             read->x = (int32_t)n[0];
             read->y = (int32_t)n[1];
             read->flux = (int32_t)n[2];
@@ -157,29 +182,40 @@ static int read_line(const char *line, struct tracker_frame_info *info, struct t
     return 1;
 }
 
-static int solve_lists(struct tracker_context *context)
+/* Solves a list, as the next frame of a sequence if there is a filter. */
+static void solve_list(struct tracker_context *context, struct list *list, struct tracker_following *following)
+{
+    const int32_t *gyro = list->has_gyro ? list->gyro : NULL;
+    struct tracker_answer answer;
+
+    if (following && tracker_following_predict(following, list->info.time_us, gyro, &list->info.prior) == TRACKER_TIME_BAD) {
+        printf("bad_time not_after_the_last filter=%d\n", (int)TRACKER_FOLLOWING_COASTING);
+        return;
+    }
+    tracker_start(context, &list->info);
+    tracker_solve_stars(context, list->star, list->count, &answer);
+    print_answer(&answer, following ? (int)tracker_following_take(following, &answer) : -1);
+}
+
+static int solve_lists(struct tracker_context *context, struct tracker_following *following)
 {
     static const struct tracker_frame_info nothing;
-    static struct tracker_star star[TRACKER_MAX_STARS];
+    static struct list list;
     static char line[LINE];
-    struct tracker_frame_info info = nothing;
-    struct tracker_answer answer;
-    int count = 0, open = 0, more = 1;
+    int more = 1;
 
     while (more) {
         more = fgets(line, LINE, stdin) != NULL;
         if (more && line[strspn(line, " \t\r\n")] != '\0') {
-            open = 1;
-            if (!read_line(line, &info, star, &count)) {
+            list.open = 1;
+            if (!read_line(line, &list)) {
                 fprintf(stderr, "no star: %s", line);
                 return 2;
             }
-        } else if (more || open) {
-            tracker_start(context, &info);
-            tracker_solve_stars(context, star, count, &answer);
-            print_answer(&answer);
-            info = nothing;
-            count = open = 0;
+        } else if (more || list.open) {
+            solve_list(context, &list, following);
+            list.info = nothing;
+            list.count = list.open = list.has_gyro = 0;
         }
     }
     return 0;
@@ -188,6 +224,7 @@ static int solve_lists(struct tracker_context *context)
 int main(int argc, char **argv)
 {
     static struct tracker_context context;
+    static struct tracker_following following;
     struct tracker_frame_info info = {{0, 0, 0}, {{{{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}}, 0}, 0};
     long long velocity[3];
     int k;
@@ -197,7 +234,11 @@ int main(int argc, char **argv)
         return 0;
     }
     if (argc == 2 && strcmp(argv[1], "stars") == 0)
-        return solve_lists(&context);
+        return solve_lists(&context, NULL);
+    if (argc == 2 && strcmp(argv[1], "follow") == 0) {
+        tracker_following_start(&following);
+        return solve_lists(&context, &following);
+    }
     if ((argc == 2 || argc == 5) && strcmp(argv[1], "frames") == 0) {
         for (k = 0; k < 3 && argc == 5; k++)
             velocity[k] = strtoll(argv[2 + k], NULL, 10);
@@ -205,6 +246,6 @@ int main(int argc, char **argv)
             info.velocity = vector(velocity);
         return solve_frames(&context, &info);
     }
-    fprintf(stderr, "solve frames [VX VY VZ] | stars | version, with the frames or lists on standard input\n");
+    fprintf(stderr, "solve frames [VX VY VZ] | stars | follow | version, with the frames or lists on standard input\n");
     return 2;
 }
