@@ -25,6 +25,7 @@ from benchmarks.cases import chosen
 from benchmarks.oracle import rotation_error
 from benchmarks.report import OK, SHORT, Table, show, write_markdown
 from benchmarks.score import ENOUGH, IDENTIFIED, RAISED, WRONG, WRONG_CROSS_PX, WRONG_ROLL_DEG
+from simulator.frame import Frame, FrameTruth
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -136,10 +137,14 @@ class Bench:
         self.tracker: StarTracker = build_tracker(self.renderer.scenario, self.renderer.camera)
         solve_frame(self.tracker, self.renderer.frame(_WARM_UP)[0])
 
+    def frame(self, index: int) -> tuple[Frame, FrameTruth]:
+        """Render frame `index`."""
+        at_s, attitude = self._placed(index) if self.case.bodies else (None, None)
+        return self.renderer.frame(index, at_s=at_s, attitude=attitude)
+
     def row(self, index: int) -> FrameRow:
         """Render, solve and score frame `index`."""
-        at_s, attitude = self._placed(index) if self.case.bodies else (None, None)
-        frame, truth = self.renderer.frame(index, at_s=at_s, attitude=attitude)
+        frame, truth = self.frame(index)
         start = time.process_time()
         try:
             solution = solve_frame(self.tracker, frame)

@@ -134,7 +134,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
     ("validate", validate_command, _SCENARIOS, "boresight validate my.yaml"),
     ("show", show_command, _SCENARIOS, "boresight show cubesat > my.yaml"),
     ("schema", schema_command, _SCENARIOS, "boresight schema > schema.json"),
-    ("export-c", as_command(ExportRequest, "c_source"), _FLIGHT, "boresight export-c tracker/"),
+    ("export-c", as_command(ExportRequest, "c_source"), _FLIGHT, "boresight export-c tracker/ --scenario cubesat"),
 )  # fmt: skip
 """Name, function, group and example of each command."""
 for _name, _function, _group, _example in _COMMANDS:

@@ -1,24 +1,24 @@
-"""The integer tracker of one camera as C source, and what it takes, for ``boresight export-c``."""
+"""A tracker as C source, and what it takes, for ``boresight export-c``: here the integer tracker for centroids."""
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import tempfile
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
+from simulator.cli.c_files import compiled_here, memory_table, write_export
 from simulator.cli.centroid_list import parse_size
 from simulator.cli.requests import ExportRequest
-from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
-from simulator.study.exported_c.build import Build, compile_export, native_compiler
 from simulator.study.exported_c.centroid_lists import centroid_list, list_text
 from simulator.theses.yee1999.catalogue import SubCatalog, sub_catalog
 from startracker.errors import InputError
-from startracker.fixed_point.export_c import CExport, export_c
+from startracker.fixed_point.export_c import export_c
 from startracker.identification.integer_solution import (
     MAX_GROUPS,
     MAX_STARS,
@@ -28,6 +28,9 @@ from startracker.identification.integer_solution import (
 )
 from startracker.identification.triad_search import TriadLimits
 
+_COMMON = ("out", "prefix", "scenario")
+_OF_SCENARIO = ("set_values", "arithmetic", "identifier")
+"""Options of both kinds of export, and of the flight build alone."""
 _TIMED_FIELDS = 20
 _TIMED_REPETITIONS = 50
 
@@ -43,6 +46,29 @@ def parse_pair(text: str, option: str, separator: str) -> tuple[float, float]:
 
 def main(request: ExportRequest) -> int:
     """Write the files, and print what they take; compiles where there is a compiler."""
+    _check_options(request)
+    if request.scenario is None:
+        return _export_triads(request)
+    from simulator.cli.flight_source import main as export_flight
+
+    return export_flight(request, request.scenario)
+
+
+def _check_options(request: ExportRequest) -> None:
+    """`InputError` for an option of the other kind of export."""
+    kinds = get_type_hints(ExportRequest, include_extras=True)
+    for given in dataclasses.fields(request):
+        if given.name in _COMMON or getattr(request, given.name) in (given.default, []):
+            continue
+        name = kinds[given.name].__metadata__[0].default  # where typer keeps the name of an annotated option
+        if given.name in _OF_SCENARIO and request.scenario is None:
+            raise InputError(f"{name}: has no effect without --scenario")
+        if given.name not in _OF_SCENARIO and request.scenario is not None:
+            raise InputError(f"{name}: has no effect with --scenario; the scenario says it")
+
+
+def _export_triads(request: ExportRequest) -> int:
+    """The integer tracker for lists of centroids."""
     size, fov = parse_size(request.size), parse_pair(request.fov, "--fov", "x")
     if not all(0.0 < angle < 90.0 for angle in fov):
         raise InputError(f"--fov: must be between 0° and 90° across and down, not {fov[0]:g} by {fov[1]:g}")
@@ -66,51 +92,28 @@ def main(request: ExportRequest) -> int:
         three_stars=True,
     )
     export = export_c(tracker, limits, MAX_STARS, MAX_TRIADS, MAX_GROUPS, request.prefix)
-    folder = make_folder(request.out)
-    for name, text in export.files.items():
-        write_atomically(folder / name, text)
+    folder = write_export(export, request.out)
     console = Console(highlight=False)
     console.print(
         f"{len(export.files)} files in {folder}: {len(tracker.tables):,} stars, {len(tracker.tables.first):,} pairs",
         soft_wrap=True,
     )
-    console.print(_table(export, *_measured(export, stars, fov, size)))
+    with tempfile.TemporaryDirectory() as name:
+        build = compiled_here(export, Path(name))
+        table = memory_table(export, build)
+        if build is not None:
+            time_s = build.time_s(_fields(stars, fov, size), _TIMED_REPETITIONS)
+            table.add_row("comparisons of pairs, at most", f"{export.most_steps:,}")
+            table.add_row(f"time, mean of {_TIMED_FIELDS} fields", f"{time_s * 1e3:.3f} ms")
+    console.print(table)
     return 0
 
 
-def _measured(
-    export: CExport, stars: SubCatalog, fov: tuple[float, float], size: tuple[int, int]
-) -> tuple[Build | None, float]:
-    """What the machine's compiler makes of it, and seconds for a field; (None, 0) without a compiler."""
-    target = native_compiler()
-    if target is None:
-        return None, 0.0
+def _fields(stars: SubCatalog, fov: tuple[float, float], size: tuple[int, int]) -> str:
+    """Lists of centroids of some fields."""
     ra, dec = np.radians(stars.sky_deg).T
     directions = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    lists = [
+    return "".join(
         list_text(centroid_list(directions, stars.v_mag, fov, size, stream(1, "export", k)))
         for k in range(_TIMED_FIELDS)
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        build = compile_export(export, Path(folder), target)
-        return build, build.time_s("".join(lists), _TIMED_REPETITIONS)
-
-
-def _table(export: CExport, build: Build | None, time_s: float) -> Table:
-    table = Table(show_header=False)
-    table.add_column(no_wrap=True)
-    table.add_column(justify="right", no_wrap=True)
-    for name, count in export.table_bytes.items():
-        table.add_row(f"table {name}", f"{count:,} bytes")
-    table.add_row("tables", f"{sum(export.table_bytes.values()):,} bytes", end_section=True)
-    if build is None:
-        table.add_row("no C compiler here", "not measured")
-        return table
-    table.add_row("code", f"{build.code_bytes:,} bytes")
-    table.add_row("context, given by the caller", f"{build.context_bytes:,} bytes")
-    table.add_row("static buffers", f"{build.static_bytes:,} bytes")
-    table.add_row("stack, at most", f"{build.stack_bytes:,} bytes")
-    table.add_row("heap", "0 bytes" if not build.heap_calls else ", ".join(build.heap_calls))
-    table.add_row("comparisons of pairs, at most", f"{export.most_steps:,}")
-    table.add_row(f"time, mean of {_TIMED_FIELDS} fields", f"{time_s * 1e3:.3f} ms")
-    return table
+    )

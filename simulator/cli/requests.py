@@ -16,6 +16,7 @@ from simulator.cli.options import (
     Seed,
     SetValues,
     complete_key,
+    complete_scenario,
     option,
     switch,
 )
@@ -291,30 +292,60 @@ class CalibrateRequest:
     ] = None
 
 
+_FLIGHT, _TRIADS = "Flight build of a scenario", "Integer tracker for centroids"
+
+
 @dataclass(frozen=True)
 class ExportRequest:
-    """Write the integer tracker as C99 source with its tables, and print its memory and time."""
+    """Write a star tracker as C99 source with its tables, and print its memory and time.
+
+    With --scenario: the tracker of that camera, from rows of pixels to attitude. Without: triads, from centroids.
+    """
 
     out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the source.", show_default=False)]
-    size: Annotated[str, option("--size", "WxH", "Image size, pixels.")] = "427x319"
-    fov: Annotated[str, option("--fov", "WxH", "Field of view, degrees.")] = "9.0130x6.9049"
-    declination: Annotated[str, option("--declination", "A:B", "Range of declinations, degrees.")] = "30:90"
-    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Magnitude of the faintest star.")] = 6.0
+    prefix: Annotated[str, option("--prefix", "NAME", "Prefix of all names in the C source.")] = "tracker"
+    scenario: Annotated[
+        Path | None,
+        typer.Option(
+            "--scenario",
+            metavar="SCENARIO",
+            help="Scenario YAML, or an included scenario by name.",
+            autocompletion=complete_scenario,
+            rich_help_panel=_FLIGHT,
+        ),
+    ] = None
+    set_values: SetValues = None
+    arithmetic: Annotated[
+        str | None,
+        option(
+            "--arithmetic", "KIND", "fixed: integers; float: attitude in single precision; default: fixed.", _FLIGHT
+        ),
+    ] = None
+    identifier: Annotated[
+        str | None, option("--identifier", "NAME", "adaptive or triads; default: adaptive.", _FLIGHT)
+    ] = None
+    size: Annotated[str, option("--size", "WxH", "Image size, pixels.", _TRIADS)] = "427x319"
+    fov: Annotated[str, option("--fov", "WxH", "Field of view, degrees.", _TRIADS)] = "9.0130x6.9049"
+    declination: Annotated[str, option("--declination", "A:B", "Range of declinations, degrees.", _TRIADS)] = "30:90"
+    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Magnitude of the faintest star.", _TRIADS)] = (
+        6.0
+    )
     max_separation_deg: Annotated[
-        float, option("--max-separation", "DEG", "Maximum separation of a pair of stars.")
+        float, option("--max-separation", "DEG", "Maximum separation of a pair of stars.", _TRIADS)
     ] = 12.0
-    tolerance_deg: Annotated[float, option("--tolerance", "DEG", "Tolerance of separations.")] = 0.15
+    tolerance_deg: Annotated[float, option("--tolerance", "DEG", "Tolerance of separations.", _TRIADS)] = 0.15
     rotation_tolerance_deg: Annotated[
-        float, option("--rotation-tolerance", "DEG", "Tolerance of rotations and of their groups.")
+        float, option("--rotation-tolerance", "DEG", "Tolerance of rotations and of their groups.", _TRIADS)
     ] = 5.0
     enclosed_tolerance_deg: Annotated[
-        float, option("--enclosed-tolerance", "DEG", "Tolerance of inner angles; 0: no test.")
+        float, option("--enclosed-tolerance", "DEG", "Tolerance of inner angles; 0: no test.", _TRIADS)
     ] = 1.0
-    vote_number: Annotated[int, option("--vote-number", "N", "Minimum number of votes for a star.")] = 2
+    vote_number: Annotated[int, option("--vote-number", "N", "Minimum number of votes for a star.", _TRIADS)] = 2
     centroid_error_px: Annotated[
-        float, option("--centroid-error", "PX", "Standard error of a centroid on one axis.")
+        float, option("--centroid-error", "PX", "Standard error of a centroid on one axis.", _TRIADS)
     ] = 0.3
-    false_alarm_rate: Annotated[float, option("--false-alarm-rate", "P", "Maximum false-alarm probability.")] = 1e-7
-    resolution_px: Annotated[float, option("--resolution", "PX", "Stars closer than this are merged.")] = 3.0
-    prefix: Annotated[str, option("--prefix", "NAME", "Prefix of all names in the C source.")] = "tracker"
-    edition: Annotated[int, option("--edition", "N", "Edition of the Bright Star Catalogue, 4 or 5.")] = 5
+    false_alarm_rate: Annotated[
+        float, option("--false-alarm-rate", "P", "Maximum false-alarm probability.", _TRIADS)
+    ] = 1e-7
+    resolution_px: Annotated[float, option("--resolution", "PX", "Stars closer than this are merged.", _TRIADS)] = 3.0
+    edition: Annotated[int, option("--edition", "N", "Edition of the Bright Star Catalogue, 4 or 5.", _TRIADS)] = 5

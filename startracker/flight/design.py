@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
-from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings, TrackingSettings
+from startracker.tracking.mekf import GyroNoise, RateNoise
 
 ARITHMETICS = ("fixed", "float")
 IDENTIFIERS = ("adaptive", "triads")
+COARSEST_PIXEL_DEG = 0.12
+"""Largest pixels: the product of the largest variance of a position and the square of a pixel's angle must fit into 63
+bits."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,9 @@ class FlightDesign:
         ``fixed``: integers only; ``float``: attitudes and directions in single precision.
     identifier : str
         ``adaptive`` or ``triads``.
+    motion : RateNoise or GyroNoise
+        Motion of the camera between frames, for the tracking.
+    tracking : TrackingSettings
     name : str
         Of the scenario, for the version in the object.
     digest : str
@@ -59,7 +67,7 @@ class FlightDesign:
     Raises
     ------
     InputError
-        For an unknown arithmetic or identifier.
+        For an unknown arithmetic or identifier, or a camera with pixels above `COARSEST_PIXEL_DEG`.
     """
 
     camera: Camera
@@ -71,6 +79,8 @@ class FlightDesign:
     identification: IdentificationSettings = field(default_factory=IdentificationSettings)
     arithmetic: str = "fixed"
     identifier: str = "adaptive"
+    motion: RateNoise | GyroNoise = field(default_factory=RateNoise)
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
     name: str = ""
     digest: str = ""
 
@@ -78,3 +88,8 @@ class FlightDesign:
         for key, known in (("arithmetic", ARITHMETICS), ("identifier", IDENTIFIERS)):
             if getattr(self, key) not in known:
                 raise InputError(f"{key} must be {' or '.join(known)}; got {getattr(self, key)!r}")
+        pixel_deg = math.degrees(self.camera.pixel_rad)
+        if pixel_deg > COARSEST_PIXEL_DEG:
+            raise InputError(
+                f"a flight build needs pixels of at most {COARSEST_PIXEL_DEG}°, the camera's are {pixel_deg:.2f}°"
+            )

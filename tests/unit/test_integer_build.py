@@ -5,7 +5,8 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from simulator.study.exported_c.build import HOST, M68K, Target, compile_export
+from simulator.study.exported_c.build import compile_export
+from simulator.study.exported_c.targets import HOST, M68K, Target
 from simulator.theses.yee1999 import SECTIONS
 from simulator.theses.yee1999.integer_build import attitude_differences
 from startracker import Camera

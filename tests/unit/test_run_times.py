@@ -4,8 +4,9 @@ from importlib import import_module
 
 import pytest
 
-from simulator.study.exported_c.build import M68K, Target, compile_export
+from simulator.study.exported_c.build import compile_export
 from simulator.study.exported_c.centroid_lists import list_text
+from simulator.study.exported_c.targets import M68K, Target
 from simulator.theses.yee1999 import SECTIONS
 from simulator.theses.yee1999.catalogue import printed_rows
 from simulator.theses.yee1999.integers import fixed_centroids, star_pixels

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 from simulator.build import build_focal_plane
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.scenario.schema_sequence import SequenceSection
+from simulator.study.sequence.true_motion import process_noise
 from simulator.study.trials.trial import build_tracker
 from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.identification_settings import IdentificationSettings
 from startracker.observer import Observer
+from startracker.settings import TrackingSettings
+from startracker.tracking.mekf import GyroNoise, RateNoise
 
 
 def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str = "adaptive") -> FlightDesign:
@@ -38,9 +46,29 @@ def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str
         psf.sigma_px,
         tracker.detection,
         tracker.centroid,
-        tracker.identification,
+        _identification(scenario, tracker.identification, identifier),
         arithmetic,
         identifier,
+        _motion(scenario.sequence),
+        TrackingSettings(),
         scenario.name,
         scenario.fingerprint(),
     )
+
+
+def _motion(section: SequenceSection) -> RateNoise | GyroNoise:
+    """Motion of the camera between the frames of a sequence; the default where it is measured from the frames. A flight
+    build does not estimate a gyro's scale factors."""
+    if section.rate_walk_deg_s_sqrt_s == "auto":
+        walk = math.degrees(RateNoise().acceleration)
+        section = section.model_copy(update={"rate_walk_deg_s_sqrt_s": walk})
+    noise = process_noise(section, [], [], 0.0)
+    return dataclasses.replace(noise, scale_sigma=0.0) if isinstance(noise, GyroNoise) else noise
+
+
+def _identification(scenario: Scenario, settings: IdentificationSettings, identifier: str) -> IdentificationSettings:
+    """Settings of the scenario's identifier; those that all methods share if the flight build has another one."""
+    if scenario.tracker.identifier == identifier:
+        return settings
+    shared = {one.name: getattr(settings, one.name) for one in dataclasses.fields(IdentificationSettings)}
+    return IdentificationSettings(**shared)

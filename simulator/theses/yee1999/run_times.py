@@ -12,8 +12,10 @@ from functools import partial
 
 import numpy as np
 
-from simulator.study.exported_c.build import M68K, Build, native_compiler
+from simulator.study.exported_c.build import Build
 from simulator.study.exported_c.centroid_lists import list_text
+from simulator.study.exported_c.instructions import count_instructions
+from simulator.study.exported_c.targets import M68K, native_compiler
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
@@ -94,6 +96,10 @@ def _here() -> Values:
     return {"timed": timed, "no_compiler": [] if compiled else [{}]}
 
 
+def _instructions(build: Build, text: str) -> int:
+    return count_instructions(build, text.encode()).total
+
+
 def _emulated() -> Values:
     """Tables C.3 and C.6 in instructions of the emulated 68k."""
     seconds = {"Vega": 9.41, "Deneb": 23.66}
@@ -109,7 +115,7 @@ def _emulated() -> Values:
     builds: list[Values] = []
     for name, picture, hers in (("Vega", vega(), "4 MB"), ("Deneb", deneb(), "4 MB, its stars renumbered")):
         stars = list_text(picture.xy_px)
-        found = measured(version_b(picture), M68K, partial(Build.instructions, text=stars))
+        found = measured(version_b(picture), M68K, partial(_instructions, text=stars))
         builds += [{"name": name, "hers": hers} | values for values in found]
     vega_count, deneb_count = (values["measured"] for values in builds)
     counts = [vega_count, deneb_count, deneb_count - vega_count]

@@ -1,0 +1,132 @@
+"""Identification of the flight build in C compared with `StarTracker`, on the same lists of stars, lost in space.
+
+nice python -m benchmarks.flight_tracker [--camera cubesat ...] [--n 420] [--rate 1e-7] [--seed 1]
+
+For each camera and kind of field: lists that `StarTracker.solve_centroids` and the C solve, that only one of them does,
+wrong ones of the C (a normalised squared error above 31.8, as rare as 5 sigma, and more than 0.1 degrees), and its
+steps. Then lists that are not a sky, all of whose solutions are wrong. Exit status 1 if any is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.flight_lists import FIELDS, Field, field_list, null_list
+from benchmarks.integer_lists import PATTERNS
+from simulator.randomness import stream
+from simulator.study.exported_c.build import Build, compile_export
+from startracker import Camera, StarTracker
+from startracker.arrays import FloatArray
+from startracker.attitude import Attitude
+from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.flight.export import flight_export
+from startracker.flight.stars import StarList
+
+CAMERAS = {"cubesat": (12.86, 7.0), "10 deg": (10.0, 7.0), "20 deg": (20.0, 6.0), "6 deg": (6.0, 7.6)}
+"""Field of view across 1024 pixels, degrees, and magnitude limit of the guide stars."""
+LARGEST_CHI2, LARGEST_DEG = 31.8, 0.1
+
+
+class Answer(NamedTuple):
+    """A line of the C program."""
+
+    status: str
+    steps: int
+    matrix: FloatArray | None
+    covariance: FloatArray | None
+
+    @classmethod
+    def of_line(cls, line: str) -> Answer:
+        status, _, *rest = line.split()
+        values = dict(part.split("=") for part in rest)
+        if status != "solved":
+            return cls(status, int(values["steps"]), None, None)
+        matrix = Attitude(np.array(values["quaternion"].split(","), float)).as_matrix()
+        covariance = np.array(values["covariance"].split(","), float).reshape(3, 3) / float(1 << 60)
+        return cls(status, int(values["steps"]), matrix, covariance)
+
+    def is_wrong(self, truth: FloatArray) -> bool:
+        """Whether the attitude contradicts its covariance and is off by more than 0.1 degrees."""
+        if self.matrix is None or self.covariance is None:
+            return False
+        turn = self.matrix @ truth.T
+        error = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        far = float(np.degrees(np.linalg.norm(error))) > LARGEST_DEG or float(np.trace(turn)) < 1.0
+        return far and float(error @ np.linalg.solve(self.covariance, error)) > LARGEST_CHI2
+
+
+def lists_text(lists: Sequence[StarList]) -> str:
+    """Lists as the C program reads them."""
+    rows = ("".join("{} {} {} {} {}\n".format(*star) for star in zip(*one, strict=True)) for one in lists)
+    return "".join(row + "\n" for row in rows)
+
+
+def solved_by(build: Build, lists: Sequence[StarList]) -> list[Answer]:
+    """Answers of the C program."""
+    lines = build.run(lists_text(lists).encode(), "stars").decode().splitlines()
+    return [Answer.of_line(line) for line in lines]
+
+
+def make(name: str, rate: float, folder: Path) -> tuple[StarTracker, Build]:
+    """The tracker of a camera, and its flight build, compiled in a folder."""
+    fov, limit = CAMERAS[name]
+    tracker = StarTracker(Camera.from_fov(fov_deg=fov, width=1024, height=1024), magnitude_limit=limit)
+    settings = replace(tracker.identification, false_alarm_rate=rate)
+    tracker.identification = settings
+    design = FlightDesign(tracker.camera, tracker.guide, DetectorNumbers(1.0, 10.0, 4095), 0.9, identification=settings)
+    return tracker, compile_export(flight_export(design), folder)
+
+
+def compare_fields(tracker: StarTracker, build: Build, lists: Sequence[Field]) -> tuple[int, ...]:
+    """Lists that both solve, that only `StarTracker` does, that only the C does; wrong ones; median and most steps."""
+    answers = solved_by(build, [one.stars for one in lists])
+    both = np.zeros((2, 2), int)
+    for one, answer in zip(lists, answers, strict=True):
+        solution = tracker.solve_centroids(one.xy, one.flux, sigma_px=one.sigma_px)
+        both[int(solution.solved), int(answer.status == "solved")] += 1
+    wrong = sum(answer.is_wrong(one.matrix) for one, answer in zip(lists, answers, strict=True))
+    steps = [answer.steps for answer in answers]
+    return int(both[1, 1]), int(both[1, 0]), int(both[0, 1]), wrong, int(np.median(steps)), max(steps)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run all kinds; returns 1 if anything was wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--camera", choices=CAMERAS, action="append")
+    parser.add_argument("--n", type=int, default=420, help="lists of each kind of field")
+    parser.add_argument("--null", type=int, default=100, help="lists of each kind that is not a sky")
+    parser.add_argument("--rate", type=float, default=1e-7, help="false-alarm rate")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args(arguments)
+    wrong = 0
+    for name in options.camera or CAMERAS:
+        with tempfile.TemporaryDirectory() as folder:
+            tracker, build = make(name, options.rate, Path(folder))
+            memory = f"tables {build.table_bytes:,}, code {build.code_bytes:,}, context {build.context_bytes:,}"
+            print(f"{name}: bytes of {memory}")
+            print("kind               lists   both  only StarTracker  only C  wrong  median steps      most")
+            for number, (kind, what) in enumerate(FIELDS.items()):
+                rng = stream(options.seed, f"flight {name}", number)
+                found = compare_fields(tracker, build, [field_list(tracker, what, rng) for _ in range(options.n)])
+                print("{:18} {:5} {:6} {:17} {:7} {:6} {:13,} {:9,}".format(kind, options.n, *found), flush=True)
+                wrong += found[3]
+            for number, pattern in enumerate(PATTERNS):
+                rng = stream(options.seed, f"flight null {name}", number)
+                answers = solved_by(build, [null_list(tracker, pattern, rng) for _ in range(options.null)])
+                solved = sum(answer.status == "solved" for answer in answers)
+                most = max(answer.steps for answer in answers)
+                print(f"{pattern:18} {options.null:5} {solved:6} {'':54} {most:9,}", flush=True)
+                wrong += solved
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,38 @@
+/* A frame from its first row to the answer. */
+#include "tracker_solver.h"
+
+void tracker_start(struct tracker_context *context, const struct tracker_frame_info *info)
+{
+    context->info = *info;
+    context->star_count = 0;
+    tracker_front_start(&context->work.front);
+}
+
+void tracker_row(struct tracker_context *context, const uint16_t *row)
+{
+    tracker_front_row(&context->work.front, row);
+}
+
+void tracker_finish(struct tracker_context *context, struct tracker_answer *answer)
+{
+    const struct tracker_front *front = &context->work.front;
+    int32_t saturated;
+    int count;
+
+    count = tracker_front_finish(&context->work.front, context->star);
+    saturated = front->saturated;
+    if (count < 0) {
+        tracker_refuse(answer, TRACKER_BAD_IMAGE, TRACKER_ROWS_MISSING);
+        return;
+    }
+    if (front->lowest == front->highest) {
+        tracker_refuse(answer, TRACKER_BAD_IMAGE, TRACKER_FRAME_UNIFORM);
+        return;
+    }
+    context->star_count = count;
+    tracker_solve_list(context, answer); /* its memory is that of the front end */
+    if (answer->status != TRACKER_SOLVED && (int64_t)saturated * TRACKER_SATURATED_PART > (int64_t)TRACKER_WIDTH * TRACKER_HEIGHT) {
+        answer->status = TRACKER_FRAME_SATURATED;
+        answer->reason = TRACKER_SATURATED_SHARE;
+    }
+}

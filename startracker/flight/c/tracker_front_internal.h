@@ -1,0 +1,35 @@
+/* Functions of the front end's modules. */
+#ifndef TRACKER_FRONT_INTERNAL_H
+#define TRACKER_FRONT_INTERNAL_H
+
+#include "tracker_front.h"
+#include "tracker_integers.h"
+
+/* tracker_background.c */
+uint16_t *tracker_front_row_at(struct tracker_front_rows *rows, int32_t y);
+void tracker_front_follow(struct tracker_front_rows *rows, int32_t block, int32_t count); /* with the last `count` rows */
+void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y);                   /* fills rows->line */
+int tracker_front_cell(int32_t x);                                                        /* knots about a column */
+int32_t tracker_front_between(const int32_t *knots, int cell, int32_t x);
+
+/* tracker_rows.c */
+void tracker_front_bridge_row(struct tracker_front_rows *rows, int32_t y); /* rows up to y - 1 are then without hot pixels */
+void tracker_front_search_row(struct tracker_front *front, int32_t y);
+
+/* tracker_components.c */
+void tracker_front_join(struct tracker_front_rows *rows, const struct tracker_front_run *run, int32_t y,
+                        const struct tracker_front_sums *sums, int32_t saturated);
+void tracker_front_close(struct tracker_front *front, int32_t y); /* components that do not reach row y */
+int tracker_front_at_border(const struct tracker_front_object *object);
+void tracker_front_principal(const int32_t moments[3], int32_t axes[2]); /* the larger variance first */
+
+/* tracker_stamps.c */
+void tracker_front_shapes(struct tracker_front *front);
+int tracker_front_boxed(const struct tracker_front_candidate *candidate, const struct tracker_front_object *object);
+int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row);
+
+/* tracker_fit.c */
+void tracker_front_fit_star(struct tracker_front *front, int candidate); /* without the light of the neighbours */
+int tracker_front_neighbours(const struct tracker_front *front, int candidate, int other); /* that have a flux */
+
+#endif

@@ -1,0 +1,357 @@
+/* Rows: hot pixels, matched filter, runs above the threshold, local maxima. */
+#include "tracker_front_internal.h"
+
+#define REACH TRACKER_FRONT_REACH
+#define SIDE TRACKER_FRONT_SIDE
+#define HALF TRACKER_FRONT_HALF
+#define CORE 2
+
+static int32_t smaller(int32_t a, int32_t b)
+{
+    return a < b ? a : b;
+}
+
+static int32_t larger(int32_t a, int32_t b)
+{
+    return a > b ? a : b;
+}
+
+/* ------------------------------------------------------------------ hot pixels */
+
+/* The eight pixels about column x of three rows, in rising order. */
+static void sorted_neighbours(const uint16_t *const rows[3], int32_t x, uint16_t out[8])
+{
+    uint16_t value;
+    int j, i, n = 0, k;
+
+    for (j = 0; j < 3; j++)
+        for (i = -1; i <= 1; i++) {
+            if (j == 1 && i == 0)
+                continue;
+            value = rows[j][x + i];
+            for (k = n; k > 0 && out[k - 1] > value; k--)
+                out[k] = out[k - 1];
+            out[k] = value;
+            n++;
+        }
+}
+
+/* Adds column x to the list if it is a hot pixel. */
+static void note_hot(struct tracker_front_rows *all, const uint16_t *const rows[3], int cell, int32_t x,
+                     struct tracker_front_bridge *bridge)
+{
+    int32_t level = tracker_front_between(all->line.level, cell, x);
+    uint16_t around[8];
+
+    sorted_neighbours(rows, x, around);
+    if (20 * ((int64_t)around[5] * 256 - level) <= 3 * ((int64_t)rows[1][x] * 256 - level)) {
+        bridge->x[bridge->count] = (uint16_t)x;
+        bridge->value[bridge->count] = around[3];
+        bridge->count++;
+    }
+}
+
+static void find_hot(struct tracker_front_rows *all, int32_t y, struct tracker_front_bridge *bridge)
+{
+    const struct tracker_front_line *line = &all->line;
+    const uint16_t *rows[3];
+    int32_t knots[TRACKER_FRONT_KNOTS], step, limit, x, end;
+    int cell, k;
+
+    for (k = 0; k < 3; k++)
+        rows[k] = tracker_front_row_at(all, y + k - 1);
+    tracker_front_line_at(all, y);
+    for (k = 0; k < TRACKER_FRONT_KNOTS; k++)
+        knots[k] = line->level[k] + 5 * line->noise[k];
+    for (cell = 0; cell <= TRACKER_FRONT_TILES; cell++) {
+        x = larger(cell == 0 ? 0 : tracker_front_knot[cell], 1);
+        end = cell == TRACKER_FRONT_TILES ? TRACKER_WIDTH - 1 : smaller(tracker_front_knot[cell + 1], TRACKER_WIDTH - 1);
+        step = (int32_t)tracker_shift_right((int64_t)(knots[cell + 1] - knots[cell]) * tracker_front_inverse[cell], 12);
+        limit = knots[cell] * 16 + step * (x - tracker_front_knot[cell]);
+        for (; x < end; x++) {
+            if ((int32_t)rows[1][x] * 4096 > limit) {
+                note_hot(all, rows, cell, x, bridge);
+                if (bridge->count == TRACKER_FRONT_HOT)
+                    return;
+            }
+            limit += step;
+        }
+    }
+}
+
+void tracker_front_bridge_row(struct tracker_front_rows *rows, int32_t y)
+{
+    struct tracker_front_bridge *here = &rows->bridge[y & 1], *above = &rows->bridge[(y + 1) & 1];
+    uint16_t *row;
+    int k;
+
+    here->count = 0;
+    if (TRACKER_FRONT_SHARE > 0 && TRACKER_WIDTH > 2 && y > 0 && y < TRACKER_HEIGHT - 1)
+        find_hot(rows, y, here);
+    if (y == 0)
+        return;
+    row = tracker_front_row_at(rows, y - 1);
+    for (k = 0; k < above->count; k++)
+        row[above->x[k]] = above->value[k];
+}
+
+/* ------------------------------------------------------------------ matched filter */
+
+static void filter_columns(struct tracker_front_rows *rows, int32_t y)
+{
+    const uint16_t *row[2 * REACH + 1];
+    int32_t x, sum;
+    int k;
+
+    for (k = 0; k <= 2 * REACH; k++)
+        row[k] = tracker_front_row_at(rows, y + k - REACH);
+    for (x = 0; x < TRACKER_WIDTH; x++) {
+        sum = tracker_front_tap[0] * (int32_t)row[REACH][x];
+        for (k = 1; k <= REACH; k++)
+            sum += tracker_front_tap[k] * ((int32_t)row[REACH - k][x] + (int32_t)row[REACH + k][x]);
+        rows->column[x] = (sum + 8) >> 4;
+    }
+}
+
+static int32_t filtered_here(const struct tracker_front_rows *rows, int32_t x)
+{
+    int32_t sum = tracker_front_tap[0] * rows->column[x];
+    int k;
+
+    for (k = 1; k <= REACH; k++)
+        sum += tracker_front_tap[k] * (rows->column[x - k] + rows->column[x + k]);
+    return sum;
+}
+
+/* Of any row in the ring. */
+static int32_t filtered_at(struct tracker_front_rows *rows, int32_t x, int32_t y)
+{
+    int32_t sum = 0, column;
+    int i, j;
+
+    for (i = -REACH; i <= REACH; i++) {
+        column = 8;
+        for (j = -REACH; j <= REACH; j++)
+            column += tracker_front_tap[j < 0 ? -j : j] * (int32_t)tracker_front_row_at(rows, y + j)[x + i];
+        sum += tracker_front_tap[i < 0 ? -i : i] * (column >> 4);
+    }
+    return sum;
+}
+
+static int is_searched(int32_t x, int32_t y)
+{
+    return x >= REACH && x < TRACKER_WIDTH - REACH && y >= REACH && y < TRACKER_HEIGHT - REACH;
+}
+
+/* Whether no neighbour is higher; of equal ones the first in reading order counts. */
+static int is_highest(struct tracker_front_rows *rows, int32_t x, int32_t y, int32_t filtered)
+{
+    int32_t i, j;
+
+    if (is_searched(x - 1, y) && filtered_here(rows, x - 1) >= filtered)
+        return 0;
+    if (is_searched(x + 1, y) && filtered_here(rows, x + 1) > filtered)
+        return 0;
+    for (j = -1; j <= 1; j += 2)
+        for (i = -1; i <= 1; i++)
+            if (is_searched(x + i, y + j) && filtered_at(rows, x + i, y + j) + (j < 0) > filtered)
+                return 0;
+    return 1;
+}
+
+/* ------------------------------------------------------------------ candidates */
+
+int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row)
+{
+    int32_t x = candidate->x + column - HALF, y = candidate->y + row - HALF;
+
+    return x >= 0 && x < TRACKER_WIDTH && y >= 0 && y < TRACKER_HEIGHT;
+}
+
+static void copy_stamp(struct tracker_front_rows *rows, struct tracker_front_candidate *candidate)
+{
+    int i, j;
+
+    for (j = 0; j < SIDE; j++)
+        for (i = 0; i < SIDE; i++)
+            candidate->stamp[j * SIDE + i] =
+                tracker_front_inside(candidate, i, j)
+                    ? tracker_front_row_at(rows, candidate->y + j - HALF)[candidate->x + i - HALF]
+                    : 0;
+}
+
+/* Whether all pixels of the core are saturated: what is left is too little for a fit. */
+static int is_full(struct tracker_front_rows *rows, const struct tracker_front_candidate *candidate)
+{
+    int i, j;
+
+    for (j = HALF - CORE; j <= HALF + CORE; j++)
+        for (i = HALF - CORE; i <= HALF + CORE; i++)
+            if (!tracker_front_inside(candidate, i, j)
+                || tracker_front_row_at(rows, candidate->y + j - HALF)[candidate->x + i - HALF]
+                       < TRACKER_FRONT_SATURATION)
+                return 0;
+    return 1;
+}
+
+/* Whether it is not saturated throughout, not sharper than a star, and not part of something extended. */
+static int can_be_star(struct tracker_front_rows *rows, const struct tracker_front_candidate *candidate)
+{
+    const int32_t level = candidate->level, noise = candidate->noise;
+    int32_t peak = (int32_t)tracker_front_row_at(rows, candidate->y)[candidate->x] * 256 - level;
+    int32_t limit = larger((int32_t)tracker_shift_right(peak, 2), 2 * noise);
+    int full = tracker_front_row_at(rows, candidate->y)[candidate->x] >= TRACKER_FRONT_SATURATION;
+    int i, j, border = 0, bright = 0;
+
+    if (full && is_full(rows, candidate))
+        return 0;
+    if (TRACKER_FRONT_SHARE > 0 && !full
+        && 4 * (int64_t)peak > (((int64_t)TRACKER_FRONT_SHARE * candidate->height) >> 16) + 12 * (int64_t)noise)
+        return 0;
+    for (j = 0; j < SIDE; j++)
+        for (i = 0; i < SIDE; i += j == 0 || j == SIDE - 1 ? 1 : SIDE - 1)
+            if (tracker_front_inside(candidate, i, j)) {
+                border++;
+                bright += (int32_t)tracker_front_row_at(rows, candidate->y + j - HALF)[candidate->x + i - HALF] * 256
+                          - level > limit;
+            }
+    return bright * 20 <= border * 7;
+}
+
+/* The last of the candidates in the order of heights. */
+static int last_candidate(const struct tracker_front *front)
+{
+    const struct tracker_front_candidate *a, *b;
+    int n, last = 0;
+
+    for (n = 1; n < front->candidates; n++) {
+        a = &front->candidate[n];
+        b = &front->candidate[last];
+        if (a->height < b->height
+            || (a->height == b->height && (a->y > b->y || (a->y == b->y && a->x > b->x))))
+            last = n;
+    }
+    return last;
+}
+
+/* A pixel above the threshold. */
+static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y, int32_t filtered)
+{
+    struct tracker_front_rows *rows = &front->work.rows;
+    struct tracker_front_candidate here, *kept;
+
+    if (!is_highest(rows, x, y, filtered))
+        return;
+    here.x = (uint16_t)x;
+    here.y = (uint16_t)y;
+    here.level = tracker_front_between(rows->line.level, cell, x);
+    here.noise = tracker_front_between(rows->line.noise, cell, x);
+    here.height = filtered - (int32_t)tracker_shift_right((int64_t)TRACKER_FRONT_LEVEL_WEIGHT * here.level, 16);
+    if (here.height <= 0)
+        return;
+    if (front->candidates == TRACKER_FRONT_POOL) {
+        if (rows->worst < 0)
+            rows->worst = last_candidate(front);
+        if (here.height <= front->candidate[rows->worst].height)
+            return;
+    }
+    if (!can_be_star(rows, &here))
+        return;
+    kept = &front->candidate[front->candidates < TRACKER_FRONT_POOL ? front->candidates++ : rows->worst];
+    kept->x = here.x;
+    kept->y = here.y;
+    kept->level = here.level;
+    kept->noise = here.noise;
+    kept->height = here.height;
+    copy_stamp(rows, kept);
+    rows->worst = -1;
+}
+
+/* ------------------------------------------------------------------ threshold */
+
+/* A run as it grows. */
+struct growing {
+    struct tracker_front_run run;
+    struct tracker_front_sums sums;
+    int32_t saturated;
+};
+
+static void add_pixel(struct tracker_front *front, struct growing *growing, int cell, int32_t x, int32_t y, int open)
+{
+    struct tracker_front_rows *rows = &front->work.rows;
+    uint16_t value = tracker_front_row_at(rows, y)[x];
+    int64_t light = value - ((tracker_front_between(rows->line.level, cell, x) + 128) >> 8);
+
+    if (!open) {
+        growing->run.first = (uint16_t)x;
+        growing->sums.light = growing->sums.x = growing->sums.xx = 0;
+        growing->saturated = 0;
+    }
+    growing->run.last = (uint16_t)x;
+    growing->saturated += value >= TRACKER_FRONT_SATURATION;
+    if (light > 0) {
+        growing->sums.light += light;
+        growing->sums.x += light * x;
+        growing->sums.xx += light * x * x;
+    }
+}
+
+static void end_run(struct tracker_front *front, struct growing *growing, int32_t y)
+{
+    struct tracker_front_sums *sums = &growing->sums;
+
+    sums->y = sums->light * y;
+    sums->yy = sums->y * y;
+    sums->xy = sums->x * y;
+    tracker_front_join(&front->work.rows, &growing->run, y, sums, growing->saturated);
+}
+
+/* Runs and candidates of a row whose columns are filtered. */
+static void search(struct tracker_front *front, const int32_t *limits, int32_t y)
+{
+    struct tracker_front_rows *rows = &front->work.rows;
+    struct growing growing;
+    int32_t x, end, limit, step, filtered;
+    int cell, open = 0;
+
+    for (cell = 0; cell <= TRACKER_FRONT_TILES; cell++) {
+        x = larger(cell == 0 ? 0 : tracker_front_knot[cell], REACH);
+        end = smaller(cell == TRACKER_FRONT_TILES ? TRACKER_WIDTH : tracker_front_knot[cell + 1], TRACKER_WIDTH - REACH);
+        step = (int32_t)tracker_shift_right((int64_t)(limits[cell + 1] - limits[cell]) * tracker_front_inverse[cell], 16);
+        limit = limits[cell] + step * (x - tracker_front_knot[cell]);
+        for (; x < end; x++) {
+            filtered = filtered_here(rows, x);
+            if (filtered > limit) {
+                if (!open && rows->runs[y & 1] == TRACKER_FRONT_RUNS)
+                    return;
+                add_pixel(front, &growing, cell, x, y, open);
+                consider(front, cell, x, y, filtered);
+                open = 1;
+            } else if (open) {
+                end_run(front, &growing, y);
+                open = 0;
+            }
+            limit += step;
+        }
+    }
+    if (open)
+        end_run(front, &growing, y);
+}
+
+void tracker_front_search_row(struct tracker_front *front, int32_t y)
+{
+    struct tracker_front_rows *rows = &front->work.rows;
+    int32_t limits[TRACKER_FRONT_KNOTS];
+    int k;
+
+    rows->runs[y & 1] = 0;
+    if (y >= REACH && y < TRACKER_HEIGHT - REACH && TRACKER_WIDTH > 2 * REACH) {
+        tracker_front_line_at(rows, y);
+        for (k = 0; k < TRACKER_FRONT_KNOTS; k++)
+            limits[k] = (int32_t)((((int64_t)TRACKER_FRONT_LEVEL_WEIGHT * rows->line.level[k]) >> 16)
+                                  + (((int64_t)TRACKER_FRONT_THRESHOLD * rows->line.noise[k]) >> 8));
+        filter_columns(rows, y);
+        search(front, limits, y);
+    }
+    tracker_front_close(front, y);
+}

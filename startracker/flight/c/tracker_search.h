@@ -1,0 +1,130 @@
+/* Identification: working memory and functions of the search, in integers in both arithmetics. */
+#ifndef TRACKER_SEARCH_H
+#define TRACKER_SEARCH_H
+
+#include "tracker_types.h"
+
+#define TRACKER_SEARCH_SIDES (TRACKER_MAX_STARS * (TRACKER_MAX_STARS - 1) / 2)
+#define TRACKER_SEARCH_NEVER (-((int64_t)1 << 28)) /* log2 of zero, 12 fraction bits */
+
+/* An attitude that explains stars, with its evidence. */
+struct tracker_hypothesis {
+    int64_t evidence;                 /* log2 of the Bayes factor, 12 fraction bits, rounded down */
+    struct tracker_matrix attitude;
+    int16_t guide[TRACKER_MAX_STARS]; /* guide star of each star that is used; -1: none */
+    int16_t matched;
+    int16_t width;                    /* number of the width that fits best */
+};
+
+/* A pair of stars with the guide stars that they may be. */
+struct tracker_candidate {
+    uint8_t neighbour, third, agreeing;
+    uint16_t guide[2]; /* of the pole and of the neighbour */
+};
+
+struct tracker_vote {
+    uint16_t guide;    /* of the neighbour */
+    uint8_t neighbour; /* its number among the neighbours */
+};
+
+/* Votes about one pole. */
+struct tracker_votes {
+    uint8_t count[TRACKER_SEARCH_GUIDES];
+    uint8_t star[TRACKER_SEARCH_MOST_NEIGHBOURS]; /* the neighbours, nearest first */
+    uint32_t low[TRACKER_SEARCH_MOST_NEIGHBOURS], high[TRACKER_SEARCH_MOST_NEIGHBOURS]; /* windows of guide pairs */
+    int neighbours;
+    struct tracker_vote vote[TRACKER_SEARCH_MOST_VOTES];
+    uint16_t elected[TRACKER_SEARCH_MOST_VOTES / 2];     /* guide stars whose votes are kept, ascending */
+    uint16_t begin[TRACKER_SEARCH_MOST_VOTES / 2 + 1];   /* their first votes */
+    uint8_t filled[TRACKER_SEARCH_MOST_VOTES / 2];
+    struct tracker_candidate candidate[TRACKER_SEARCH_MOST_CANDIDATES];
+    int candidates;
+};
+
+/* Guide stars of a field and their matches. */
+struct tracker_field {
+    uint16_t guide[TRACKER_SEARCH_MAX_DEPTH];            /* brightest first */
+    struct tracker_vector direction[TRACKER_SEARCH_MAX_DEPTH], predicted[TRACKER_SEARCH_MAX_DEPTH];
+    int16_t owner[TRACKER_SEARCH_MAX_DEPTH];
+    int depth;
+    int16_t rank[TRACKER_MAX_STARS], last[TRACKER_MAX_STARS], weighed[TRACKER_MAX_STARS]; /* guide star in the field; -1 */
+    int64_t square[TRACKER_MAX_STARS]; /* residuals in units of the stated variances, 8 fraction bits */
+    int matched;
+    /* of the evidence */
+    int64_t base[TRACKER_MAX_STARS], gain[TRACKER_MAX_STARS];
+    int32_t ratio[2][TRACKER_MAX_STARS];
+    int16_t ordered_rank[TRACKER_MAX_STARS], star[TRACKER_MAX_STARS];
+};
+
+/* Working memory of an identification. */
+struct tracker_search {
+    /* the stars that are used, brightest first */
+    int count;
+    uint8_t index[TRACKER_MAX_STARS];             /* in the list */
+    struct tracker_vector direction[TRACKER_MAX_STARS];
+    int64_t variance[TRACKER_MAX_STARS];          /* of the direction on one axis, 2^-60 rad^2 */
+    int32_t magnitude[TRACKER_MAX_STARS];         /* 6 fraction bits */
+    int brightness;                               /* whether all of them are known */
+    int32_t excess[9][TRACKER_MAX_STARS];         /* log2 of the crowding */
+    uint32_t chord[TRACKER_SEARCH_SIDES], error[TRACKER_SEARCH_SIDES]; /* of pairs i > j at i (i - 1) / 2 + j */
+    struct tracker_vector velocity;
+    struct tracker_prior prior;
+    /* hypotheses, the strongest first */
+    struct tracker_hypothesis best[TRACKER_SEARCH_KEPT + 1];
+    int kept, cut_short;
+    int64_t rest;                                 /* log2 of the evidence of those that are not kept */
+    int64_t gain;                                 /* log2 of what the prior adds */
+    int64_t steps;
+    union {
+        struct tracker_votes votes;
+        int64_t sum[8][TRACKER_MAX_STARS];        /* of the crowding */
+    } work;
+    struct tracker_field field;
+};
+
+/* Result of an identification. */
+struct tracker_found {
+    enum tracker_reason reason;
+    struct tracker_hypothesis best; /* guide: of each star of the list */
+    int64_t chance, steps;
+    int contradicted;               /* the prior is */
+};
+
+/* tracker_search.c: identifies a list of `count` stars with directions where `seen` is not 0. */
+void tracker_identify(struct tracker_search *search, const struct tracker_frame_info *info, const struct tracker_star *star,
+                      const struct tracker_vector *direction, const uint8_t *seen, int count, struct tracker_found *found);
+
+/* tracker_evidence.c */
+int64_t tracker_log_down(int64_t n);                      /* log2 of n >= 1, 12 fraction bits, rounded down */
+int64_t tracker_log_sum(int64_t a, int64_t b);            /* log2 of 2^a + 2^b, rounded down */
+int64_t tracker_log_sum_up(int64_t a, int64_t b);         /* rounded up */
+void tracker_crowding(struct tracker_search *search);     /* fills `excess` */
+/* log2 of the Bayes factor of the field's match, by the logarithm of the normal matrix' determinant; the best width */
+int64_t tracker_weigh(struct tracker_search *search, int64_t log_normal, int *width);
+
+/* tracker_verify.c: verifies an attitude from the gates of a row on; the hypothesis has TRACKER_SEARCH_NEVER as evidence if
+ * fewer than three stars match. Counts its steps. */
+void tracker_verify(struct tracker_search *search, const struct tracker_matrix *start, int gates,
+                    struct tracker_hypothesis *found);
+
+/* tracker_votes.c: candidates of a pole under a row of tracker_search_row, those with most votes first; counts its steps, and
+ * begins no further pass over the pairs beyond `most` of them. */
+void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row, int64_t most);
+int tracker_side_of(int i, int j); /* number of a pair of different stars */
+
+/* Columns of tracker_search_row. */
+enum {
+    TRACKER_ROW_POLES,
+    TRACKER_ROW_AMONG,
+    TRACKER_ROW_NEIGHBOURS,
+    TRACKER_ROW_NEED,
+    TRACKER_ROW_SIDES,
+    TRACKER_ROW_GATE2,
+    TRACKER_ROW_GATES,
+    TRACKER_ROW_CHANCE,
+    TRACKER_ROW_ENOUGH,
+    TRACKER_ROW_STATED,
+    TRACKER_ROW_STEPS
+};
+
+#endif

@@ -1,0 +1,189 @@
+"""Files of a flight build: C sources, tables, build files, example, unit tests, fuzzers, and what a team reads.
+
+The stages' modules give their constants and arrays (`Part`); their sources are in ``c/`` here and in
+``startracker/fixed_point/c``. All else is in ``package/``. In every file ``tracker_`` and ``TRACKER_`` become the
+prefix, and ``@WORD@`` the value of the word.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from typing import NamedTuple
+
+from startracker._version import __version__
+from startracker.errors import InputError
+from startracker.fixed_point.c_table import CTable
+from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
+from startracker.fixed_point.export_c import CExport
+from startracker.flight.design import FlightDesign
+from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants
+from startracker.flight.following import FOLLOWING_MODULES, following_arrays, following_constants, following_tables
+from startracker.flight.front_tables import FRONT_MODULES, front_arrays, front_constants
+from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants
+from startracker.flight.search_export import SEARCH_MODULES, search_arrays, search_constants
+from startracker.flight.solver import SATURATED_PART, FlightTracker
+from startracker.flight.unit_data import unit_test_data
+
+_FOLDERS = ("startracker.flight", "startracker.fixed_point")
+_INCLUDE = re.compile(r'^#include "(tracker\w*\.h)"', re.MULTILINE)
+_GENERATED = ("tracker_tables.h", "tracker.h")
+_LICENCE = "/* Copyright (c) 2026, The boresight developers. SPDX-License-Identifier: BSD-3-Clause (see LICENSE). */\n"
+
+
+class Part(NamedTuple):
+    """What a stage gives to an export."""
+
+    modules: tuple[str, ...]
+    """Its sources, ``tracker_<module>.c``."""
+    constants: dict[str, int]
+    """Macros by name, without the prefix."""
+    arrays: list[CTable]
+
+
+def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
+    """Files of a flight build.
+
+    Parameters
+    ----------
+    design : FlightDesign
+        Camera, guide stars, detector, settings, arithmetic and identifier.
+    prefix : str
+        Prefix of all names and sources.
+
+    Raises
+    ------
+    InputError
+        A prefix that is not a C identifier; a camera or settings that the integers cannot hold.
+    """
+    check_prefix(prefix)
+    tracker = FlightTracker.build(design)
+    return assemble(design, flight_parts(tracker), prefix, unit_test_data(tracker))
+
+
+def flight_parts(tracker: FlightTracker) -> list[Part]:
+    """What the stages of a tracker give."""
+    front, grid, search, pose = tracker.front_tables, tracker.grid, tracker.search_tables, tracker.pose_tables
+    following = following_tables(tracker.design.motion, tracker.design.tracking)
+    return [
+        Part(FRONT_MODULES, front_constants(front), front_arrays(front)),
+        Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),
+        Part(SEARCH_MODULES, search_constants(search), search_arrays(search)),
+        Part(POSE_MODULES, pose_constants(pose), pose_arrays(pose)),
+        Part(FOLLOWING_MODULES, following_constants(following), following_arrays(following)),
+        Part(("solver", "frame"), {"SATURATED_PART": SATURATED_PART}, []),
+    ]
+
+
+def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: str) -> CExport:
+    """Files of these parts, with the header of the unit tests' data."""
+    constants, arrays = _collected(design, parts)
+    modules = tuple(dict.fromkeys(module for part in parts for module in part.modules))
+    sources = {f"tracker_{module}.c": _source(f"tracker_{module}.c") for module in modules}
+    headers = _headers(sources.values())
+    version = _version(design, constants, arrays)
+    named = f"const char tracker_version[{len(version) + 1}]"
+    declared = [f"extern {named}; /* what these tables were made from, and their digest */"]
+    defined = [f'{named} = "{version}";', ""]
+    tables = {
+        "tracker_tables.h": tables_header(constants, arrays, declared),
+        "tracker_tables.c": tables_source(arrays, defined),
+    }
+    words = _words(design, version, prefix, modules, [*headers, *tables], arrays)
+    package = {
+        item.name: _filled(item.read_text("utf-8"), words)
+        for item in _folder("startracker.flight", "package").iterdir()
+        if item.is_file()
+    }
+    texts = {**sources, **headers, **tables, **package, "test_data.h": tests}
+    texts = {prefixed(name, prefix): prefixed(_licensed(name, text), prefix) for name, text in sorted(texts.items())}
+    return CExport(prefix, texts, {table.name: table.bytes for table in arrays}, modules)
+
+
+def _collected(design: FlightDesign, parts: Sequence[Part]) -> tuple[dict[str, int], list[CTable]]:
+    """Macros and arrays of all parts; `InputError` for a name that two of them give."""
+    width, height = design.camera.width, design.camera.height
+    constants = {"WIDTH": width, "HEIGHT": height, "MAX_STARS": design.detection.max_stars}
+    if design.arithmetic == "float":
+        constants["FLOAT"] = 1
+    arrays: dict[str, CTable] = {}
+    for part in parts:
+        twice = constants.keys() & part.constants.keys() | arrays.keys() & {table.name for table in part.arrays}
+        if twice:
+            raise InputError(f"flight build: {', '.join(sorted(twice))} is defined by two stages")
+        constants |= part.constants
+        arrays |= {table.name: table for table in part.arrays}
+    return constants, list(arrays.values())
+
+
+def _folder(package: str, name: str) -> Traversable:
+    return files(package) / name
+
+
+def _source(name: str) -> str:
+    """Text of a source or header, from the first folder that has it."""
+    for package in _FOLDERS:
+        file = _folder(package, "c") / name
+        if file.is_file():
+            return file.read_text("utf-8")
+    raise InputError(f"flight build: there is no source {name}")
+
+
+def _headers(sources: Iterable[str]) -> dict[str, str]:
+    """Headers that the sources include, directly or through others, by name; the interface is ``tracker.h``."""
+    found = {"tracker.h": (_folder("startracker.flight", "c") / "flight.h").read_text("utf-8")}
+    waiting = [*sources, *found.values()]
+    while waiting:
+        for name in _INCLUDE.findall(waiting.pop()):
+            if name not in found and name not in _GENERATED:
+                found[name] = _source(name)
+                waiting.append(found[name])
+    return found
+
+
+def _version(design: FlightDesign, constants: Mapping[str, int], arrays: Sequence[CTable]) -> str:
+    """What the tables were made from, and a digest of what they hold."""
+    held = hashlib.sha256(repr(sorted(constants.items())).encode())
+    for table in arrays:
+        held.update(f"{table.declaration}{table.values.tolist()}".encode())
+    origin = f"scenario {design.name or 'unnamed'} {design.digest[:16]}".rstrip()
+    return (
+        f"boresight {__version__}; {origin}; {design.arithmetic}; {design.identifier}; tables {held.hexdigest()[:16]}"
+    )
+
+
+def _words(
+    design: FlightDesign,
+    version: str,
+    prefix: str,
+    modules: Sequence[str],
+    headers: Sequence[str],
+    arrays: Sequence[CTable],
+) -> dict[str, str]:
+    """Words of the files of ``package/``."""
+    width, height = design.camera.width, design.camera.height
+    flash = sum(table.bytes for table in arrays)
+    return {
+        "PREFIX": prefix,
+        "VERSION": version,
+        "NAME": design.name or "unnamed",
+        "SIZE": f"{width} × {height}",
+        "GUIDES": f"{len(design.guide):,}",
+        "ARITHMETIC": design.arithmetic,
+        "IDENTIFIER": design.identifier,
+        "TABLE_BYTES": f"{flash:,}",
+        "OBJECTS": " ".join(f"tracker_{name}.o" for name in ("tables", *modules)),
+        "CMAKE_SOURCES": " ".join(f"tracker_{name}.c" for name in ("tables", *modules)),
+        "HEADERS": " ".join(headers),
+    }
+
+
+def _filled(text: str, words: Mapping[str, str]) -> str:
+    return re.sub(r"@([A-Z_]+)@", lambda match: words[match[1]], text)
+
+
+def _licensed(name: str, text: str) -> str:
+    return _LICENCE + text if name.endswith((".c", ".h")) else text

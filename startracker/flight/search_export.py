@@ -1,0 +1,108 @@
+"""Macros and constant arrays of the identification in C."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from startracker.fixed_point.c_table import CTable
+from startracker.flight import search, search_plan, search_tables, verifying, votes
+from startracker.flight.search_tables import SearchTables
+
+SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "search")
+
+
+def search_constants(t: SearchTables) -> dict[str, int]:
+    """Numbers of the header by name, without the prefix."""
+    return {
+        "SEARCH_GUIDES": len(t.guide),
+        "SEARCH_PAIRS": len(t.first),
+        "SEARCH_BINS": len(t.bin_start) - 1,
+        "SEARCH_BIN_SHIFT": t.bin_shift,
+        "SEARCH_LONGEST": t.longest,
+        "SEARCH_COLUMNS": search_tables.COLUMNS,
+        "SEARCH_COLUMN_SHIFT": search_tables.COLUMN_SHIFT,
+        "SEARCH_QUADRANT": search_tables.QUADRANT,
+        "SEARCH_LEAST_COSINE": t.least_cosine,
+        "SEARCH_FIELD_CHORD": t.field_chord,
+        "SEARCH_PIXEL2": t.pixel2,
+        "SEARCH_LOG_AREA": t.log_area,
+        "SEARCH_LOG_AREA_UP": t.log_area_up,
+        "SEARCH_LOG_RATE": t.log_rate,
+        "SEARCH_LEAST_STARS": t.least_stars,
+        "SEARCH_MAX_DEPTH": t.seeing.shape[1] - 1,
+        "SEARCH_SUMS": len(t.sum_table),
+        "SEARCH_CROWD_ENTRIES": len(t.crowd_table),
+        "SEARCH_CROWD_FROM": search_tables.CROWD_FROM,
+        "SEARCH_CROWD_STEP_BITS": search_tables.CROWD_STEP_BITS,
+        "SEARCH_EVEN_SHARE": search_tables.EVEN_SHARE_LOG,
+        "SEARCH_SPREAD_SHARE": search_tables.SPREAD_SHARE_LOG,
+        "SEARCH_COUNT_BITS": search_tables.COUNT_BITS,
+        "SEARCH_DENSITY_ENTRIES": t.density_table.shape[1],
+        "SEARCH_DENSITY_FLOOR": int(search_tables.FLOOR * (1 << search_tables.DENSITY_BITS)),
+        "SEARCH_WIDTHS": len(t.log_scale2),
+        "SEARCH_CHANCES": t.needed.shape[0],
+        "SEARCH_MOST_NEEDED": t.needed.shape[1],
+        "SEARCH_MAGNITUDE_TOLERANCE": t.magnitude_tolerance,
+        "SEARCH_GATES": max(map(len, verifying.GATES)),
+        "SEARCH_ROWS": len(search_plan.SEARCHES),
+        "SEARCH_KEPT": search.KEPT,
+        "SEARCH_MOST_NEIGHBOURS": votes.MOST_NEIGHBOURS,
+        "SEARCH_MOST_CANDIDATES": votes.MOST_CANDIDATES,
+        "SEARCH_MOST_VOTES": votes.MOST_VOTES,
+        "SEARCH_MOST_KEPT": votes.MOST_KEPT,
+        "SEARCH_MOST_COUNT": votes.MOST_COUNT,
+        "SEARCH_MOST_STEPS": _most_steps(t),
+    }
+
+
+def _most_steps(t: SearchTables) -> int:
+    """Bound on the steps of an identification: a search ends with the pass, or the verification, that exceeds its own.
+
+    Around a prior, there is a second one over the whole sky.
+    """
+    stars, depth = t.most_stars, t.seeing.shape[1] - 1
+    a_pass = 2 * votes.MOST_NEIGHBOURS * len(t.first) + 4 * votes.MOST_VOTES * (votes.MOST_COUNT - 1)
+    counting = len(t.guide) + 2 * votes.MOST_NEIGHBOURS * len(t.first)
+    rounds = verifying.ROUNDS * max(map(len, verifying.GATES))
+    verification = verifying.STEPS + (rounds + 14 * max(map(len, verifying.GATES))) * stars * depth
+    candidate = search.CANDIDATE_STEPS + search.STAR_STEPS * search.MOST_OTHERS + verification
+    beyond = counting + a_pass + candidate
+    most: int = 2 * (verification + sum(one.steps + beyond for one in search_plan.SEARCHES))
+    return most
+
+
+def search_arrays(t: SearchTables) -> list[CTable]:
+    """Constant arrays: guide stars, pairs, grid, outline, evidence, searches."""
+    gates = np.zeros((len(verifying.GATES), max(map(len, verifying.GATES)), 2), np.int64)
+    for row, steps in enumerate(verifying.GATES):
+        gates[row, : len(steps)] = steps
+    named = [
+        ("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", t.guide),
+        ("int16_t", "guide_magnitude", "their V, 6 fraction bits", t.magnitude),
+        ("int32_t", "guide_number", "their catalogue numbers", t.number),
+        ("uint16_t", "first", "guide stars of the pairs, by bins of their chords", t.first),
+        ("uint16_t", "second", "the same", t.second),
+        ("uint32_t", "bin_start", "first pair of each bin", t.bin_start),
+        ("uint16_t", "column_start", "first entry of each column of the grid", t.column_start),
+        ("uint16_t", "column_star", "guide stars of the columns", t.column_star),
+        ("int32_t", "outline_axes", "axes of the outline, 2.30", t.outline_axes),
+        ("int32_t", "outline", "least cosine from the image's centre, 2.30", t.outline),
+        ("int16_t", "log", "log2(1 + k / 256)", t.log_table),
+        ("int16_t", "sum", "log2(1 + 2^-x)", t.sum_table),
+        ("int32_t", "crowd", "1 / (1 + x)^2, 30 fraction bits", t.crowd_table),
+        ("int32_t", "density", "densities of magnitudes, 20 fraction bits", t.density_table),
+        ("int16_t", "distracting", "log2 of the weight of k false stars, 6 fraction bits", t.distracting),
+        ("int16_t", "seeing", "log2 of the weight of m stars detected and k not, 6 fraction bits", t.seeing),
+        ("int16_t", "total", "log2 of the total weight, n stars, up to k guide stars", t.total),
+        ("int32_t", "log_scale2", "log2 of the squared width", t.log_scale2),
+        ("int32_t", "quadratic", "log2(e) / 2 over the squared width, 20 fraction bits", t.quadratic),
+        ("int32_t", "log_volume", "log2 of prior and volume of each width", t.log_volume),
+        ("int32_t", "log_density", "log2 of the density of ln B, by the number of stars", t.log_density),
+        ("int32_t", "needed", "largest mean of matches by chance, 16 fraction bits", t.needed),
+        ("int32_t", "row", "the searches: columns are those of enum TRACKER_ROW_POLES", search_plan.search_rows()),
+        ("int32_t", "gate", "squares of the gates of the verification, 8 fraction bits", gates),
+    ]
+    return [
+        CTable(type_, name if name.startswith("guide_") else f"search_{name}", meaning, values)
+        for type_, name, meaning, values in named
+    ]

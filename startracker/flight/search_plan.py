@@ -1,0 +1,76 @@
+"""Order and limits of the searches of a flight build's identification.
+
+Those of `startracker.identification.adaptive`: a few brightest stars under the stated errors and under larger ones; if
+that leaves a doubt, every star as the pole, under wider and wider assumptions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from startracker.arrays import IntArray
+
+
+class Search(NamedTuple):
+    """One search.
+
+    Parameters
+    ----------
+    poles : int
+        Brightest stars that are taken as the pole.
+    among, neighbours : int
+        Brightest stars that may vote; how many of the nearest of them do.
+    need : int
+        Neighbours that must agree.
+    sides : int
+        Tolerance of a separation in standard errors, 8 fraction bits.
+    gate2 : int
+        Square of the gate of the confirming stars, in units of the stated variance, 8 fraction bits.
+    gates : int
+        Row of `verifying.GATES`.
+    chance : int
+        Row of `SearchTables.needed`.
+    enough : int
+        Confirming stars that are enough if so many occur by chance in 1 of 10,000 candidates; 0: `chance` alone.
+    stated : int
+        1: of the stated errors; 0: of larger ones.
+    steps : int
+        After which it ends.
+    """
+
+    poles: int
+    among: int
+    neighbours: int
+    need: int
+    sides: int
+    gate2: int
+    gates: int
+    chance: int
+    enough: int
+    stated: int
+    steps: int
+
+
+def _search(
+    counts: tuple[int, int, int, int], sigmas: float, scale: float, gates: int, chance: int, enough: int, steps: int
+) -> Search:
+    sides, gate2 = round(256.0 * sigmas * scale), round(256.0 * (4.5 * scale) ** 2)
+    return Search(*counts, sides, gate2, gates, chance, enough, int(scale < 3.0), steps)
+
+
+QUICK = 2
+"""Of the searches, those of the brightest stars; an attitude accepted with a margin then ends the identification."""
+SEARCHES = (
+    _search((6, 12, 8, 2), 3.7, 2.2, 0, 0, 0, 2_000_000),
+    _search((3, 9, 6, 2), 3.7, 7.0, 0, 1, 0, 1_000_000),
+    _search((60, 60, 16, 3), 2.6, 2.2, 0, 0, 2, 14_000_000),
+    _search((25, 60, 12, 3), 2.6, 7.0, 0, 1, 2, 3_000_000),
+    _search((25, 60, 16, 4), 2.6, 16.0, 1, 2, 2, 3_000_000),
+)
+
+
+def search_rows() -> IntArray:
+    """The searches as rows of integers, as the C has them."""
+    return np.array(SEARCHES, dtype=np.int64)

@@ -1,0 +1,140 @@
+"""The front end of a flight build: the C against its integer reference, bit for bit, and in adverse frames."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulator.renderer import Renderer
+from simulator.scenario import Scenario
+from simulator.study.flight.design import flight_design
+from startracker.errors import InputError
+from startracker.flight.front_end import front_tables, measure_frame
+from tests.helpers.flight_c import SANITIZED
+from tests.helpers.flight_front import CompiledFront, assert_same
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
+CAREFUL = (*SANITIZED, "-fsanitize=bounds-strict", "-O1")
+BUILDS = {"plain": ((192, 165), ()), "sanitized": ((100, 70), CAREFUL), "smallest": ((16, 16), CAREFUL)}
+"""Columns and rows, that of the TC211 and others, and options of the compiler."""
+SETTINGS = (
+    {"psf_sigma_px": 1.8, "max_stars": 5, "max_pixels": 3},
+    {"reject_hits": False, "background_tile_px": 25},
+)
+
+
+def scenario(name):
+    return Scenario.load(f"scenarios/{name}.yaml")
+
+
+@pytest.fixture(scope="module")
+def design():
+    return flight_design(scenario("tc211"))
+
+
+def resized(design, width, height, **detection):
+    """Tables for a frame of another size."""
+    camera = replace(design.camera, width=width, height=height)
+    return front_tables(replace(design, camera=camera, detection=replace(design.detection, **detection)))
+
+
+def adverse(width, height):
+    """Frames without a sky, each with its name."""
+    rng = np.random.default_rng(9)
+    y, x = np.mgrid[:height, :width]
+    yield "dark", np.zeros((height, width))
+    yield "full", np.full((height, width), 65535)
+    yield "checkerboard", 65535 * ((x + y) % 2)
+    yield "sparse checkerboard", 4000 * ((x % 4 == 0) & (y % 4 == 0))
+    yield "columns", 60000 * (x % 3 == 0)
+    yield "single rows", 3000 * (y % 7 == 3) + rng.normal(100, 3, x.shape)
+    yield "slope", (x * 65535 + y * 3) // max(width, 1)
+    yield "steep along y", np.clip(40 * y**2, 0, 65535)
+    yield "steps", 5000 * ((y // 9) % 2) + 100 + rng.integers(0, 9, x.shape)
+    yield "random", rng.integers(0, 65536, x.shape)
+    yield "noise", rng.normal(1000, 30, x.shape)
+    yield "noise of no light", np.maximum(rng.normal(0, 2, x.shape), 0)
+    yield "heavy tails", np.clip(rng.standard_cauchy(x.shape) * 20 + 500, 0, 65535)
+    yield "ridge", np.clip(60000 - 900 * np.abs(x - y), 0, 65535)
+    yield "disc", 200 + 3800 * (np.hypot(x - width / 2, y - height / 2) < min(width, height) / 4)
+    yield "hot", rng.normal(100, 4, x.shape) + 3000 * (rng.random(x.shape) < 0.05)
+    stars = rng.normal(100, 4, x.shape)
+    for _ in range(width * height // 60):
+        sx, sy, flux = rng.uniform(0, width), rng.uniform(0, height), 10 ** rng.uniform(1, 5)
+        stars += flux / 5 * np.exp(-((x - sx) ** 2 + (y - sy) ** 2) / 1.6)
+    yield "crowd", np.clip(stars, 0, 65535)
+    yield "saturated crowd", np.clip(40 * stars, 0, 5000)
+    trails = rng.normal(100, 4, x.shape)
+    for _ in range(12):
+        sx, sy = rng.uniform(0, width), rng.uniform(0, height)
+        for t in np.linspace(-8, 8, 40):
+            trails += 8 * np.exp(-((x - sx - t) ** 2 + (y - sy - 0.5 * t) ** 2) / 1.6)
+    yield "trails", trails
+
+
+def compare(tables, compiled):
+    """Number of stars in each adverse frame, of which C and reference are the same."""
+    found = {}
+    for name, values in adverse(tables.width, tables.height):
+        image = np.asarray(values).astype(np.uint16)
+        expected = measure_frame(image, tables)
+        assert_same(expected, compiled.measure(image))
+        found[name] = len(expected.stars.x)
+    return found
+
+
+@pytest.mark.parametrize("build", BUILDS)
+def test_adverse_frames_bit_for_bit(design, tmp_path, build):
+    side, options = BUILDS[build]
+    tables = resized(design, *side)
+    found = compare(tables, CompiledFront(tables, tmp_path, *options))
+    if build == "plain":
+        assert min(found[name] for name in ("crowd", "saturated crowd", "trails")) > 0
+        for name in ("dark", "full", "columns", "slope", "noise of no light", "checkerboard"):
+            assert found[name] == 0, name
+
+
+@pytest.mark.skipif(shutil.which("clang") is None, reason="no clang on this machine")
+@pytest.mark.parametrize("taken", SETTINGS)
+def test_other_settings_and_compiler_bit_for_bit(design, tmp_path, taken):
+    tables = resized(design, 90, 80, **taken)
+    compare(tables, CompiledFront(tables, tmp_path, compiler="clang"))
+
+
+FRAMES = ("cubesat", "tc211", "gallery/moon", "gallery/hot_pixels", "gallery/smear")
+MORE = ("cubesat_ideal", "gallery/aged", "gallery/earth_limb", "gallery/blooming")
+
+
+@pytest.mark.parametrize("name", [*FRAMES, *(pytest.param(name, marks=pytest.mark.slow) for name in MORE)])
+def test_rendered_frames_bit_for_bit(name, tmp_path):
+    wanted = scenario(name)
+    tables, renderer = front_tables(flight_design(wanted)), Renderer(wanted)
+    image = np.asarray(renderer.frame(1)[0].image)
+    expected = measure_frame(image, tables)
+    assert len(expected.stars.x) > 3
+    assert_same(expected, CompiledFront(tables, tmp_path).measure(image))
+
+
+def test_memory_of_a_megapixel(design, tmp_path):
+    """Less than 60 KiB, of the 64 that the whole context may have."""
+    assert CompiledFront(resized(design, 1024, 1024), tmp_path).bytes < 60 * 1024
+
+
+def test_missing_rows_and_frames_one_after_the_other(design, tmp_path):
+    tables = front_tables(design)
+    compiled = CompiledFront(tables, tmp_path)
+    image = np.random.default_rng(1).integers(20, 30, (165, 192)).astype(np.uint16)
+    assert compiled.measure(image, 164) is None
+    assert compiled.measure(image, 0) is None
+    assert_same(measure_frame(image, tables), compiled.measure(image))
+    assert_same(measure_frame(image, tables), compiled.measure(np.vstack([image, image]), 170))
+
+
+def test_what_cannot_be_built(design):
+    with pytest.raises(InputError, match="4096"):
+        resized(design, 5000, 10)
+    with pytest.raises(InputError, match="gain"):
+        front_tables(replace(design, detector=replace(design.detector, gain_e_per_dn=1e6)))
+    with pytest.raises(InputError, match="165 rows of 192"):
+        measure_frame(np.zeros((165, 192)), front_tables(design))
