@@ -57,9 +57,12 @@ def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
     Raises
     ------
     InputError
-        A prefix that is not a C identifier; a camera or settings that the integers cannot hold.
+        A prefix that is not a C identifier; a camera or settings that the integers cannot hold; the identifier
+        ``triads``, which is exported for lists of centroids alone (`export_c`).
     """
     check_prefix(prefix)
+    if design.identifier != "adaptive":
+        raise InputError("--identifier: the flight build has adaptive alone; triads are exported without --scenario")
     tracker = FlightTracker.build(design)
     return assemble(design, flight_parts(tracker), prefix, unit_test_data(tracker))
 
@@ -85,9 +88,9 @@ def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: st
     sources = {f"tracker_{module}.c": _source(f"tracker_{module}.c") for module in modules}
     headers = _headers(sources.values())
     version = _version(design, constants, arrays)
-    named = f"const char tracker_version[{len(version) + 1}]"
-    declared = [f"extern {named}; /* what these tables were made from, and their digest */"]
-    defined = [f'{named} = "{version}";', ""]
+    text = f"const char tracker_version[{len(version) + 1}]"
+    declared = [f"extern {text}; /* what these tables were made from, and their digest */"]
+    defined = [f'{text} = "{version}";', ""]
     tables = {
         "tracker_tables.h": tables_header(constants, arrays, declared),
         "tracker_tables.c": tables_source(arrays, defined),

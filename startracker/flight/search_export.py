@@ -67,8 +67,7 @@ def _most_steps(t: SearchTables) -> int:
     verification = verifying.STEPS + (rounds + 14 * max(map(len, verifying.GATES))) * stars * depth
     candidate = search.CANDIDATE_STEPS + search.STAR_STEPS * search.MOST_OTHERS + verification
     beyond = counting + a_pass + candidate
-    most: int = 2 * (verification + sum(one.steps + beyond for one in search_plan.SEARCHES))
-    return most
+    return int(2 * (verification + sum(one.steps + beyond for one in search_plan.SEARCHES)))
 
 
 def search_arrays(t: SearchTables) -> list[CTable]:

@@ -1,6 +1,8 @@
 """Files of an exported flight build: what they are made of, and what is refused. What they do: test_flight_build.py."""
 
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from simulator.checks import load_scenario
 from simulator.cli.application import app
 from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import list_text, parse_answer, velocity_of
+from startracker.camera import Camera
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.flight.export import Part, assemble, flight_export, flight_parts
@@ -81,6 +84,7 @@ def test_two_stages_cannot_define_the_same(design):
         (("--scenario", "tc211", "--size", "9x9"), "--size: has no effect with --scenario"),
         (("--scenario", "tc211", "--arithmetic", "double"), "arithmetic must be fixed or float"),
         (("--scenario", "tc211", "--identifier", "pyramid"), "identifier must be adaptive or triads"),
+        (("--scenario", "tc211", "--identifier", "triads"), "--identifier: the flight build has adaptive alone"),
         (("--scenario", "tc211", "--prefix", "9a"), "--prefix"),
         (("--scenario", "tc211", "--set", "optics.apertur_mm=3"), "optics.aperture_mm"),
         (("--arithmetic", "float"), "--arithmetic: has no effect without --scenario"),
@@ -92,6 +96,13 @@ def test_mistakes_are_one_line(tmp_path, arguments, said):
     assert said in str(done.exception)
     assert len(str(done.exception).splitlines()) == 1
     assert not (tmp_path / "c").exists()
+
+
+def test_coarse_pixels_are_refused(design):
+    """A product of the search overflowed: variances to 25 px² of 16 fraction bits, times a square in 2⁻⁶⁰ rad²."""
+    with pytest.raises(InputError, match=r"pixels of at most 0\.12°, the camera's are 0\.3"):
+        replace(design, camera=Camera.from_fov(20.0, 64, 64))
+    assert (25 << 16) * math.radians(0.12) ** 2 * 2**60 < 2**63
 
 
 def test_an_answer_is_read_to_the_last_bit():
