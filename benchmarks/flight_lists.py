@@ -65,9 +65,9 @@ def field_list(tracker: StarTracker, kind: Kind, rng: np.random.Generator) -> Fi
     count = round(kind.false * len(seen) / (1.0 - kind.false))
     size = np.array([tracker.camera.width, tracker.camera.height])
     if count:
-        bright = np.log([flux.min(), flux.max()])
+        faintest, brightest = np.log([flux.min(), flux.max()])
         xy = np.concatenate([xy, rng.uniform(0.0, size - 1.0, (count, 2))])
-        flux = np.concatenate([flux, np.exp(rng.uniform(*bright, count))])
+        flux = np.concatenate([flux, np.exp(rng.uniform(faintest, brightest, count))])
     order = np.argsort(-flux, kind="stable")
     order = order[tracker.camera.contains(xy[order])][:MOST]
     sigma = max(kind.noise_px, 0.05) if rng.random() < 0.5 else 0.15

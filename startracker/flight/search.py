@@ -34,6 +34,7 @@ _LOG_SIX_PI = 17352
 """log₂ 6π, rounded down."""
 _MOST_RATIO, _LARGEST_VARIANCE = 1 << 15, 1 << 42
 _ONE_RADIAN = 1 << 28
+_ONE, _UNIT_TOLERANCE = 1 << 30, 1 << 20
 CANDIDATE_STEPS, STAR_STEPS = 30, 60
 """Of a candidate, and of each star that may confirm it."""
 
@@ -171,6 +172,13 @@ def _rotation2(one: IntArray, other: IntArray) -> int:
     return sum(int(c) for c in (apart * apart).ravel())
 
 
+def _has_unit_rows(matrix: IntArray) -> bool:
+    """Whether the rows of a matrix are unit vectors to 2⁻¹⁰: of others products would overflow."""
+    if int(np.abs(matrix).max()) > _ONE + _UNIT_TOLERANCE:
+        return False
+    return bool((np.abs(((matrix * matrix).sum(axis=1) >> 30) - _ONE) <= _UNIT_TOLERANCE).all())
+
+
 def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables) -> Found:
     """Identify observed stars, lost in space or around a prior.
 
@@ -182,6 +190,7 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
     velocity : (3,)
         Of the observer over that of light, 2.30.
     prior : FlightPrior, optional
+        Ignored if its rows are not unit vectors, or its radius is 0.
     t : SearchTables
     """
     nothing = np.zeros((3, 3), np.int64), np.full(stars, -1, np.int64)
@@ -190,7 +199,7 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
     if len(seen) < t.least_stars:
         return Found(Reason.FEW_FOUND, *nothing)
     sides = separations(seen)
-    if prior is None:
+    if prior is None or prior.radius == 0 or not _has_unit_rows(prior.matrix):
         return _searched(seen, sides, stars, velocity, None, t)[0]
     found, sure = _searched(seen, sides, stars, velocity, prior, t)
     if sure:

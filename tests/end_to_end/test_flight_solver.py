@@ -42,7 +42,7 @@ def tracker(design):
     return FlightTracker.build(design)
 
 
-@pytest.fixture(scope="module", params=BUILDS)
+@pytest.fixture(scope="module", params=["gcc", pytest.param("clang", marks=pytest.mark.slow)])
 def build(request, design, tmp_path_factory):
     target = BUILDS[request.param]
     if shutil.which(target.compiler) is None:
@@ -91,6 +91,8 @@ def test_priors_and_velocities_bit_for_bit(build, tracker, star_tracker):
         matrix = np.rint(u @ v * ONE).astype(np.int64)
         if k == 9:
             matrix = matrix[[1, 2, 0]]
+        if k == 8:
+            matrix = np.full((3, 3), (1 << 31) - 1)  # no rotation: ignored
         radius = round(min(1.5 * float(np.linalg.norm(turn)), math.pi) * (1 << 28)) + 1
         velocity = np.rint(rng.normal(size=3) * 6e4).astype(np.int64)
         prior = " ".join(map(str, [*matrix.ravel(), radius]))

@@ -44,7 +44,7 @@ struct tracker_context {
 
 /* Begin a frame.
  *
- * info     what is known of it; copied. A velocity is at most 2^-10 of that of light on each axis. */
+ * info     what is known of it; copied. A velocity of more than 2^-10 of that of light on an axis is ignored. */
 void tracker_start(struct tracker_context *context, const struct tracker_frame_info *info);
 
 /* The next row of TRACKER_WIDTH pixels, DN, the top one first. Rows beyond TRACKER_HEIGHT are ignored. */

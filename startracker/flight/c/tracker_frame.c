@@ -1,9 +1,15 @@
 /* A frame from its first row to the answer. */
 #include "tracker_solver.h"
 
+#define FASTEST (1 << 20)
+
 void tracker_start(struct tracker_context *context, const struct tracker_frame_info *info)
 {
+    const struct tracker_vector *v = &info->velocity, at_rest = {0, 0, 0};
+
     context->info = *info;
+    if (v->x > FASTEST || v->x < -FASTEST || v->y > FASTEST || v->y < -FASTEST || v->z > FASTEST || v->z < -FASTEST)
+        context->info.velocity = at_rest; /* products would overflow */
     context->star_count = 0;
     tracker_front_start(&context->work.front);
 }

@@ -4,6 +4,8 @@
 
 #include "tracker_integers.h"
 
+#define ONE ((int64_t)1 << 30)
+#define UNIT_TOLERANCE ((int64_t)1 << 20)
 #define LOG_BITS 12
 #define LOG_UP 24
 #define STATED_VARIANCE 1475
@@ -267,6 +269,20 @@ static int run_searches(struct tracker_search *search, int count, struct tracker
     return beyond(search, RIVALS_BEYOND);
 }
 
+/* Whether the rows of a matrix are unit vectors to 2^-10: of others products would overflow. */
+static int has_unit_rows(const struct tracker_matrix *matrix)
+{
+    int64_t row[3];
+    int k;
+
+    for (k = 0; k < 3; k++) {
+        tracker_to_array(&matrix->row[k], row);
+        if (tracker_largest(row, 3) > ONE + UNIT_TOLERANCE || tracker_magnitude(tracker_dot(row, row) - ONE) > UNIT_TOLERANCE)
+            return 0;
+    }
+    return 1;
+}
+
 static int shares_star(const struct tracker_hypothesis *one, const struct tracker_hypothesis *other, int count)
 {
     int k;
@@ -295,7 +311,9 @@ void tracker_identify(struct tracker_search *search, const struct tracker_frame_
     tracker_crowding(search);
     search->velocity = info->velocity;
     search->prior = info->prior;
-    if (run_searches(search, count, found) || info->prior.radius == 0)
+    if (!has_unit_rows(&search->prior.attitude))
+        search->prior.radius = 0;
+    if (run_searches(search, count, found) || search->prior.radius == 0)
         return;
     search->prior.radius = 0;
     elsewhere.steps = found->steps;

@@ -28,7 +28,7 @@ struct tracker_matrix {
     struct tracker_vector row[3];
 };
 
-/* An attitude that is known before the frame is solved. */
+/* An attitude that is known before the frame is solved; ignored if its rows are not unit vectors to 2^-10. */
 struct tracker_prior {
     struct tracker_matrix attitude;
     uint32_t radius; /* largest rotation by which it may be wrong, radians, 28 fraction bits; 0: there is no prior */
