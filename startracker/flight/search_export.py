@@ -8,7 +8,7 @@ from startracker.fixed_point.c_table import CTable
 from startracker.flight import search, search_plan, search_tables, verifying, votes
 from startracker.flight.search_tables import SearchTables
 
-SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "search")
+SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "confirm", "search")
 
 
 def search_constants(t: SearchTables) -> dict[str, int]:
