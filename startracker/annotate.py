@@ -141,6 +141,7 @@ def _canvas(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
     bottom = 0.18 + _LEGEND_ROW_IN * -(-_MOST_ENTRIES // int(across / _ENTRY_IN))
     total = across, high + top + bottom
     figure = Figure(figsize=total, dpi=dpi, facecolor=_BACKGROUND)
+    figure.set_layout_engine("none")  # another package of the program may have set one for all figures
     FigureCanvasAgg(figure)
     left = (total[0] - wide) / 2
     ax = figure.add_axes((left / total[0], bottom / total[1], wide / total[0], high / total[1]))

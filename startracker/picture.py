@@ -61,6 +61,7 @@ def _page_of_pixels(rgb: NDArray[np.uint8], form: str) -> bytes:
 
     height, width = rgb.shape[:2]
     figure = Figure(figsize=(8.0, max(8.0 * height / width, 0.01)), dpi=width / 8.0)
+    figure.set_layout_engine("none")  # another package of the program may have set one for all figures
     FigureCanvasAgg(figure)
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     ax.imshow(rgb, interpolation="nearest", aspect="auto")

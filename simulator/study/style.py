@@ -58,6 +58,7 @@ STYLE: dict[RcKeyType, Any] = {
     "axes.spines.right": False,
     "legend.fontsize": 8,
     "legend.frameon": False,
+    "figure.autolayout": False,  # another package may have set it
     "figure.constrained_layout.use": True,
     "svg.fonttype": "none",  # text remains text: small, sharp and searchable
     "svg.hashsalt": "boresight",  # the same figure gives the same file
@@ -81,6 +82,7 @@ PICTURE_STYLE: dict[RcKeyType, Any] = {
     "axes.axisbelow": True,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "figure.autolayout": False,  # another package may have set it
     "figure.constrained_layout.use": True,
     "svg.hashsalt": "boresight",
 }

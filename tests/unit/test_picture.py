@@ -4,6 +4,7 @@ import io
 
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from PIL import Image
 
 from startracker.picture import FORMATS, pixel_bytes, rgb_pixels, stretch
@@ -64,7 +65,8 @@ def test_pixels_in_every_format(form):
     if form in ("png", "jpg", "jpeg"):
         with Image.open(io.BytesIO(data)) as picture:
             assert picture.size == (640, 480)
-    assert pixel_bytes(rgb_pixels(stretch(SKY)), form) == data
+    with rc_context({"figure.autolayout": True}):  # as Basilisk sets it for the whole program
+        assert pixel_bytes(rgb_pixels(stretch(SKY)), form) == data
 
 
 def test_small_frames_are_enlarged():
