@@ -1,42 +1,41 @@
-"""Shortcuts through the compiler, while one of our kernels is compiled; numba is as it was for the kernels of others.
+"""Shortcuts through the compiler's own Python code, which takes more time than the optimisation by LLVM.
 
-numba repeats three things of its Python code for every kernel, which are spared here. It also writes several times the
-instructions that are needed (`startracker.lowering`), and optimises them several times (`startracker.machine_code`).
-Versions of numba with which this has not been tested compile our kernels in their own way, which takes twice as long.
+numba repeats three things for every kernel. `shortcuts` spares the repetition while one of our kernels is compiled, and
+leaves numba as it was for the kernels of others. The machine code is the same, byte by byte
+(``tests/unit/test_compiler.py``). A version of numba without these internals compiles our kernels without the shortcut.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
-import numba
 from numba.core import types
 from numba.core.compiler_lock import global_compiler_lock
 
-from startracker.lowering import Shortcut, lowering_shortcuts
-from startracker.machine_code import Purpose, compiled_for, machine_code_shortcuts
-
 __all__ = ["shortcuts"]
+
+Shortcut = tuple[type, str, Callable[..., Any]]
+"""Class, name of a method, and the method in its stead."""
 
 _VALUES = ("Number", "Boolean", "Array", "BaseTuple", "SliceType", "NoneType")
 """Types of arguments that decide the type of a result alone."""
 
 
 @contextlib.contextmanager
-def shortcuts(purpose: Purpose = Purpose.FOR_PYTHON, name: str = "") -> Iterator[None]:
+def shortcuts() -> Iterator[None]:
     """Within this context kernels are compiled with shortcuts; contexts may be nested, and no other thread compiles."""
-    with global_compiler_lock, compiled_for(purpose, name), contextlib.ExitStack() as after:
-        for owner, attribute, shortcut in _SHORTCUTS:
-            present = vars(owner).get(attribute)
-            if present is shortcut:  # of an outer context
+    with global_compiler_lock, contextlib.ExitStack() as after:
+        for owner, name, shortcut in _SHORTCUTS:
+            method = vars(owner).get(name)
+            if method is shortcut:  # of an outer context
                 continue
-            if attribute not in vars(owner):
-                after.callback(delattr, owner, attribute)
+            if method is None:
+                after.callback(delattr, owner, name)
             else:
-                after.callback(setattr, owner, attribute, present)
-            setattr(owner, attribute, shortcut)
+                after.callback(setattr, owner, name, method)
+            setattr(owner, name, shortcut)
         yield
 
 
@@ -98,11 +97,10 @@ def _one_scope() -> Shortcut:
     return Scope, "__deepcopy__", lambda self, memo: self
 
 
-def _all_shortcuts() -> Iterator[Shortcut]:
-    yield from (_remembered_signatures(), _no_live_variables(), _one_scope())
-    yield from lowering_shortcuts()
-    yield from machine_code_shortcuts()
+def _available() -> Iterator[Shortcut]:
+    for shortcut in (_remembered_signatures, _no_live_variables, _one_scope):
+        with contextlib.suppress(ImportError, AttributeError):  # another version of numba
+            yield shortcut()
 
 
-_TESTED = ("0.68.",)
-_SHORTCUTS = tuple(_all_shortcuts()) if numba.__version__.startswith(_TESTED) else ()
+_SHORTCUTS = tuple(_available())

@@ -6,7 +6,6 @@ Kernels are compiled by numba on first use and cached on disk; `startracker.comp
 from __future__ import annotations
 
 import contextlib
-import dis
 import gc
 import hashlib
 import os
@@ -23,13 +22,11 @@ with contextlib.suppress(ImportError):
 
 from numba import njit, types
 from numba.core import event
-from numba.core.dispatcher import Dispatcher
 
 from startracker.compilation import expected_kernels, progress
 from startracker.compiler import shortcuts
-from startracker.machine_code import InnerCache, Purpose
 
-_OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _OURS = ("startracker.", "simulator.")
 
 
@@ -58,47 +55,18 @@ def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    """Dispatcher of calls from Python, which has another one for calls from kernels.
-
-    A kernel that is called from other kernels becomes a part of their machine code. It needs none of its own, nor a
-    conversion of Python's objects.
-    """
-    dispatcher = njit(cache=True, **_OPTIONS, **options)(function)
-    _compile_once(dispatcher, lambda: Purpose.FOR_PYTHON)
-    if "inline" in options:
-        return dispatcher
-    inner = njit(**_OPTIONS, **options)(function)
-    inner._cache = InnerCache(function)
-    _compile_once(inner, lambda: Purpose.INNER_LOOP if _has_loop(function) else Purpose.INNER)
-    resolve = inner.get_call_template
+    dispatcher = njit(**_OPTIONS, **options)(function)
+    resolve = dispatcher.get_call_template
 
     def resolve_numbers(arguments: tuple[types.Type, ...], named: dict[str, types.Type]) -> Any:
         plain = {name: types.unliteral(argument) for name, argument in named.items()}
         return resolve(tuple(map(types.unliteral, arguments)), plain)
 
-    dispatcher.get_call_template, dispatcher.get_overload = resolve_numbers, inner.get_overload
-    dispatcher.inner = inner
-    return dispatcher
-
-
-def _has_loop(function: Callable[..., Any]) -> bool:
-    """Whether a function, or a part of it (`kernel_part`), repeats something."""
-    code, names, jumps = function.__code__, function.__globals__, {*dis.hasjrel, *dis.hasjabs}
-    if any(step.opcode in jumps and step.argval < step.offset for step in dis.get_instructions(code)):
-        return True
-    parts = [names[name] for name in code.co_names if isinstance(names.get(name), Dispatcher)]
-    return any("inline" in part.targetoptions and _has_loop(part.py_func) for part in parts)
-
-
-def _compile_once(dispatcher: Any, purpose: Callable[[], Purpose]) -> None:
-    """Compile with shortcuts, in one process at a time; kernels within are compiled while the lock is held."""
-    function, compile_now = dispatcher.py_func, dispatcher.compile
-    name = f"{function.__module__}:{function.__qualname__}"
+    dispatcher.get_call_template = resolve_numbers
+    compile_now, name = dispatcher.compile, f"{function.__module__}:{function.__qualname__}"
 
     def compile_once(signature: Any) -> Any:
-        used = purpose()
-        lock = name if used is Purpose.FOR_PYTHON else f"{name} in others"
-        with _held(Path(dispatcher.stats.cache_path), lock), shortcuts(used, function.__qualname__):
+        with _held(Path(dispatcher.stats.cache_path), name), shortcuts():
             try:
                 return compile_now(signature)
             except (AttributeError, ImportError):  # the cache names a class of an earlier version, which is gone
@@ -106,6 +74,7 @@ def _compile_once(dispatcher: Any, purpose: Callable[[], Purpose]) -> None:
                 return compile_now(signature)
 
     dispatcher.compile = compile_once
+    return dispatcher
 
 
 @contextmanager

@@ -155,7 +155,7 @@ def inline_svg(panel: Panel, key: str, narrow: bool = False) -> str:
         figure = figure_of(panel, narrow)
         figure.set_dpi(160)
         # the canvas lays out and draws at once; `savefig` draws twice
-        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None})
+        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)

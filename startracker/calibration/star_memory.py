@@ -43,6 +43,8 @@ class StarMemory:
         """Fading sum of weighted residuals, ICRS axes."""
         self._weight = np.zeros((0, 4))
         """Fading sums of weights, of their squares times the variances, of numbers; variance by the lens."""
+        self.covariance: FloatArray = np.zeros((parameters, parameters))
+        """Covariance (P, P) of the lens by the constant errors of the stars."""
 
     def rows(self, star_id: IntArray) -> IntArray:
         """Rows (M,) of stars, which are added if they are new."""
@@ -84,9 +86,5 @@ class StarMemory:
         """Follow an update of the lens: M (P, P), and derivatives (M, P, 3) of its correction for the stars used."""
         self._slopes = update @ self._slopes
         self._slopes[rows] += by_star
-
-    @property
-    def covariance(self) -> FloatArray:
-        """Covariance (P, P) of the lens by the constant errors of the stars."""
         flat = self._slopes.transpose(1, 0, 2).reshape(self._slopes.shape[1], -1)
-        return np.asarray(self.sigma_rad**2 * flat @ flat.T)
+        self.covariance = np.asarray(self.sigma_rad**2 * flat @ flat.T)

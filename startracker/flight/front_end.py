@@ -103,7 +103,7 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
     flags = np.where(owned.any(axis=1), SATURATED_STAR, 0) + (ELONGATED if shared.moved else 0)
     x, y = (found.x << 16) + fits.x, (found.y << 16) + fits.y
     points = StarList(x, y, fits.flux, misfit_variance(fits, tables), flags).take(fits.star)
-    stars = _listed(points, _saturated_stars(objects, full, tables), objects, tables)
+    stars = _listed(points, _saturated_stars(objects, full, tables), objects, shared.moved, tables)
     count = int(np.count_nonzero(pixels >= tables.saturation))
     return FrontFrame(stars, count, int(pixels.min()), int(pixels.max()))
 
@@ -118,10 +118,10 @@ def _alone(found: Candidates, fits: Fits, star: BoolArray) -> BoolArray:
     return star
 
 
-def _listed(points: StarList, full: StarList, objects: Objects, tables: FrontTables) -> StarList:
-    """List of the stars, the brightest first."""
-    trails = _trailed_stars(objects, len(points.x), tables)
-    parts = (full, trails if len(trails.x) else points)
+def _listed(points: StarList, full: StarList, objects: Objects, moved: bool, tables: FrontTables) -> StarList:
+    """List of the stars, the brightest first: without points where trails are the stars, unless both are."""
+    trails = _trailed_stars(objects, 0 if moved else len(points.x), tables)
+    parts = (full, trails, points) if moved or not len(trails.x) else (full, trails)
     stars = StarList(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     return stars.take(np.lexsort((stars.x, stars.y, -stars.flux))[: tables.max_stars])
 
@@ -147,7 +147,7 @@ def _trailed_stars(objects: Objects, points: int, tables: FrontTables) -> StarLi
     moments = (objects.xx, objects.yy, objects.xy)
     middle = [int(np.sort(column[long])[count // 2]) for column in moments]
     off = np.abs([column - value for column, value in zip(moments, middle, strict=True)]).max(axis=0)
-    return _stars_of(objects, variance, ELONGATED).take(long & (10 * off <= 3 * (middle[0] + middle[1])))
+    return _stars_of(objects, variance, ELONGATED).take(long & (5 * off <= middle[0] + middle[1]))
 
 
 def _stars_of(objects: Objects, variance: IntArray, flag: int) -> StarList:

@@ -25,7 +25,7 @@ HALF = 5
 """Half side of a stamp, pixels."""
 RUNS, HOT = 32, 64
 """Runs of a row above the threshold that are looked at, and hot pixels of a row that are bridged."""
-OBJECTS = 32
+OBJECTS = 40
 """Components kept that no stamp holds."""
 FIRST_TAP = 128
 SMALLEST_SIDE, LARGEST_SIDE = 16, 4096

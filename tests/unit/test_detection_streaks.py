@@ -171,7 +171,8 @@ def test_bright_streaks_that_differ_a_little_are_measured_each_for_itself() -> N
     for k, (x, y) in enumerate(places):
         along = (1.0 + 0.03 * (-1) ** k) * np.array([15.0, 42.0])
         image += drawn(image.shape, x, y, along, 2e5 / (1.0 + k))
-    found = find_trails(image.astype(np.float32), Background(np.full_like(image, 300.0), np.full_like(image, NOISE)))
+    frame = image.astype(np.float32)
+    found = find_trails(frame, Background(np.full_like(frame, 300.0), np.full_like(frame, NOISE)))
     assert found is not None
     assert len(found.centroids) == len(places)
     for place in places:

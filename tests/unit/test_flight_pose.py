@@ -110,7 +110,7 @@ def test_errors_and_covariance_beside_star_tracker(guide, tables, kind):
     1 % on average and attitudes to a tenth of these: StarTracker also fits the shape of systematic errors. Normalised
     squared errors within the chi-square bounds of 1e-4 where errors are as stated."""
     rng, ours, theirs, same, nees, ratio = stream(1, "pose", KINDS.index(kind)), [], [], [], [], []
-    for _ in range(60):
+    for _ in range(40):
         given = frame(guide, rng, kind)
         pose = solve_pose(given.stars, given.guide, given.start, given.velocity, tables)
         refined = refined_pose(guide, given)
@@ -127,7 +127,7 @@ def test_errors_and_covariance_beside_star_tracker(guide, tables, kind):
     assert np.mean(ratio) == pytest.approx(1.0, abs=0.01)
     assert np.mean(np.square(ours)) < 1.06 * np.mean(np.square(theirs))
     if kind in ("stated", "focal"):
-        assert chi2.ppf(1e-4, 180) < sum(nees) < chi2.ppf(1 - 1e-4, 180)
+        assert chi2.ppf(1e-4, 120) < sum(nees) < chi2.ppf(1 - 1e-4, 120)
 
 
 def test_a_blend_and_a_false_identification_are_not_fitted(guide, tables):
@@ -273,7 +273,7 @@ def test_c_and_python_are_the_same_bits_10_000_times(guide, tables, tmp_path):
 def test_single_precision_is_close(guide, tables, tmp_path):
     """Attitudes to 1 % of their standard error, standard errors to 1 %; wild lists cause no undefined behaviour."""
     built, rng, apart, same = Built(tmp_path, tables, "float"), stream(7, "pose"), [], 0
-    for k in range(120):
+    for k in range(60):
         given = frame(guide, rng, KINDS[k % len(KINDS)])
         pose = solve_pose(given.stars, given.guide, given.start, given.velocity, tables)
         used, numbers, matrix, covariance = built.solve(given)
@@ -284,7 +284,7 @@ def test_single_precision_is_close(guide, tables, tmp_path):
         sigma = np.sqrt(np.diag(pose.covariance) / 2.0**60)
         apart.append(np.abs(error(matrix / ONE, pose.matrix / ONE) / sigma).max())
         assert np.sqrt(np.diag(covariance) / 2.0**60) == pytest.approx(sigma, rel=0.01)
-    assert same > 115
+    assert same > 56
     assert max(apart) < 0.01
-    for _ in range(200):
+    for _ in range(100):
         built.solve(wild(guide, rng))

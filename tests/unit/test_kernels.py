@@ -168,7 +168,7 @@ def _calls(number):
 def test_constants_are_no_types_of_their_own():
     assert _calls(1) == 16
     _calls.recompile()  # a kernel that comes from the cache has not compiled those it calls
-    assert len(_twice.inner.signatures) == 1
+    assert len(_twice.signatures) == 1
 
 
 @settings(deadline=None)  # the first call compiles

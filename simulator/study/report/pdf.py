@@ -107,7 +107,8 @@ class Paper:
             self.end()
             self.number += 1
             # without a layout engine from the start `savefig` draws once
-            self.sheet = Figure(figsize=(WIDTH_IN, HEIGHT_IN), facecolor=BACK, layout="none")
+            size = (WIDTH_IN, HEIGHT_IN)
+            self.sheet = Figure(figsize=size, facecolor=BACK, layout="none")  # type: ignore[arg-type]  # not in its types
             self.top_in = MARGIN_IN
             self._put(MARGIN_IN, HEIGHT_IN - 0.4, f"{self.footer}, page {self.number}", 7, color=SOFT)
         return self.sheet

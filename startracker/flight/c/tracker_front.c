@@ -269,15 +269,17 @@ static int64_t trail_variance(const struct tracker_front_object *object)
            + TRAIL_ENDS;
 }
 
-/* Trails of one motion, where they are so many that they are the stars; whether they are. */
+/* Trails of one motion, where they are so many that they are the stars, or the stars of stamps are moved as well;
+ * whether they alone are the stars. */
 static int list_trails(struct tracker_front *front, struct tracker_star *list, int *count)
 {
     const struct tracker_front_object *object;
     int32_t middle[3];
     int64_t off[3];
+    int moved = front->work.measures.trail_x != 0 || front->work.measures.trail_y != 0;
     int n, k, trails = 0, points = 0, listed = 0;
 
-    for (n = 0; n < front->candidates; n++)
+    for (n = 0; n < front->candidates && !moved; n++)
         points += front->work.measures.fit[n].good;
     for (n = 0; n < front->objects; n++)
         trails += is_trail(&front->object[n]);
@@ -290,12 +292,12 @@ static int list_trails(struct tracker_front *front, struct tracker_star *list, i
         off[0] = (int64_t)object->xx - middle[0];
         off[1] = (int64_t)object->yy - middle[1];
         off[2] = (int64_t)object->xy - middle[2];
-        if (!is_trail(object) || 10 * tracker_largest(off, 3) > 3 * ((int64_t)middle[0] + middle[1]))
+        if (!is_trail(object) || 5 * tracker_largest(off, 3) > (int64_t)middle[0] + middle[1])
             continue;
         keep_object_star(object, trail_variance(object), TRACKER_ELONGATED, list, count);
         listed = 1;
     }
-    return listed;
+    return listed && !moved;
 }
 
 int tracker_front_finish(struct tracker_front *front, struct tracker_star star[TRACKER_MAX_STARS])

@@ -126,13 +126,16 @@ static int32_t filtered_here(const struct tracker_front_rows *rows, int32_t x)
 /* Of any row in the ring. */
 static int32_t filtered_at(struct tracker_front_rows *rows, int32_t x, int32_t y)
 {
+    const uint16_t *row[2 * REACH + 1];
     int32_t sum = 0, column;
     int i, j;
 
+    for (j = -REACH; j <= REACH; j++)
+        row[j + REACH] = tracker_front_row_at(rows, y + j) + x;
     for (i = -REACH; i <= REACH; i++) {
         column = 8;
         for (j = -REACH; j <= REACH; j++)
-            column += tracker_front_tap[j < 0 ? -j : j] * (int32_t)tracker_front_row_at(rows, y + j)[x + i];
+            column += tracker_front_tap[j < 0 ? -j : j] * (int32_t)row[j + REACH][i];
         sum += tracker_front_tap[i < 0 ? -i : i] * (column >> 4);
     }
     return sum;
@@ -240,8 +243,6 @@ static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y
     struct tracker_front_rows *rows = &front->work.rows;
     struct tracker_front_candidate here, *kept;
 
-    if (!is_highest(rows, x, y, filtered))
-        return;
     here.x = (uint16_t)x;
     here.y = (uint16_t)y;
     here.level = tracker_front_between(rows->line.level, cell, x);
@@ -255,7 +256,7 @@ static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y
         if (here.height <= front->candidate[rows->worst].height)
             return;
     }
-    if (!can_be_star(rows, &here))
+    if (!is_highest(rows, x, y, filtered) || !can_be_star(rows, &here))
         return;
     kept = &front->candidate[front->candidates < TRACKER_FRONT_POOL ? front->candidates++ : rows->worst];
     kept->x = here.x;

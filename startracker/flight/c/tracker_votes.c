@@ -56,31 +56,47 @@ static void find_neighbours(const struct tracker_search *search, struct tracker_
     }
 }
 
-/* Whether a neighbour can be so much fainter than the pole. */
-static int fits_brightness(const struct tracker_search *search, int64_t fainter, int a, int b)
-{
-    const int64_t known = (int64_t)tracker_guide_magnitude[a] - tracker_guide_magnitude[b];
+/* Possible differences of magnitude of the pole's guide star and a neighbour's. */
+struct range {
+    int32_t low, high;
+};
 
-    return !search->brightness || tracker_magnitude(fainter - known) <= TRACKER_SEARCH_MAGNITUDE_TOLERANCE;
+static struct range possible_range(const struct tracker_search *search, int pole, int neighbour)
+{
+    const int32_t fainter = search->magnitude[pole] - search->magnitude[neighbour];
+    struct range range = {INT32_MIN, INT32_MAX};
+
+    if (search->brightness) {
+        range.low = fainter - TRACKER_SEARCH_MAGNITUDE_TOLERANCE;
+        range.high = fainter + TRACKER_SEARCH_MAGNITUDE_TOLERANCE;
+    }
+    return range;
+}
+
+static int fits(const struct range *range, int32_t fainter)
+{
+    return fainter >= range->low && fainter <= range->high;
 }
 
 /* Counts the votes for each guide star; the number of pairs looked at. */
 static int64_t count_votes(struct tracker_search *search, struct tracker_votes *votes, int pole)
 {
+    uint8_t *count = votes->count;
     int64_t looked = 0;
     uint32_t pair;
     int k, star;
 
     for (star = 0; star < TRACKER_SEARCH_GUIDES; star++)
-        votes->count[star] = 0;
+        count[star] = 0;
     for (k = 0; k < votes->neighbours; k++) {
-        const int64_t fainter = (int64_t)search->magnitude[pole] - search->magnitude[votes->star[k]];
+        const struct range range = possible_range(search, pole, votes->star[k]);
         for (pair = votes->low[k]; pair < votes->high[k]; pair++) {
             const int a = tracker_search_first[pair], b = tracker_search_second[pair];
-            if (votes->count[a] < TRACKER_SEARCH_MOST_COUNT && fits_brightness(search, fainter, a, b))
-                votes->count[a]++;
-            if (votes->count[b] < TRACKER_SEARCH_MOST_COUNT && fits_brightness(search, fainter, b, a))
-                votes->count[b]++;
+            const int32_t fainter = (int32_t)tracker_guide_magnitude[a] - tracker_guide_magnitude[b];
+            if (fits(&range, fainter) && count[a] < TRACKER_SEARCH_MOST_COUNT)
+                count[a]++;
+            if (fits(&range, -fainter) && count[b] < TRACKER_SEARCH_MOST_COUNT)
+                count[b]++;
         }
         looked += votes->high[k] - votes->low[k];
     }
@@ -150,25 +166,19 @@ static void collect(const struct tracker_search *search, struct tracker_votes *v
 {
     const int first = votes->elected[0], last = votes->elected[elected - 1];
     uint32_t pair;
-    int k, way;
+    int k;
 
     for (k = 0; k < votes->neighbours; k++) {
-        const int64_t fainter = (int64_t)search->magnitude[pole] - search->magnitude[votes->star[k]];
-        for (pair = votes->low[k]; pair < votes->high[k]; pair++)
-            for (way = 0; way < 2; way++) {
-                const int a = way ? tracker_search_second[pair] : tracker_search_first[pair];
-                const int b = way ? tracker_search_first[pair] : tracker_search_second[pair];
-                if (votes->count[a] >= need && a >= first && a <= last && fits_brightness(search, fainter, a, b))
-                    keep_vote(votes, elected, a, b, k);
-            }
+        const struct range range = possible_range(search, pole, votes->star[k]);
+        for (pair = votes->low[k]; pair < votes->high[k]; pair++) {
+            const int a = tracker_search_first[pair], b = tracker_search_second[pair];
+            const int32_t fainter = (int32_t)tracker_guide_magnitude[a] - tracker_guide_magnitude[b];
+            if (a >= first && a <= last && votes->count[a] >= need && fits(&range, fainter))
+                keep_vote(votes, elected, a, b, k);
+            if (b >= first && b <= last && votes->count[b] >= need && fits(&range, -fainter))
+                keep_vote(votes, elected, b, a, k);
+        }
     }
-}
-
-static void to_array(const struct tracker_vector *v, int64_t out[3])
-{
-    out[0] = v->x;
-    out[1] = v->y;
-    out[2] = v->z;
 }
 
 /* Twice the area of a spherical triangle, positive if counted about the outward normal, 2^-30. */
@@ -207,9 +217,9 @@ static int agree(const struct tracker_search *search, int pole, int pole_guide, 
     }
     if (square < low * low || square > high * high)
         return 0;
-    to_array(&search->direction[pole], p);
-    to_array(&search->direction[k], q);
-    to_array(&search->direction[l], r);
+    tracker_to_array(&search->direction[pole], p);
+    tracker_to_array(&search->direction[k], q);
+    tracker_to_array(&search->direction[l], r);
     observed = area((const int64_t *)p, q, r);
     if (tracker_magnitude(observed) <= (allowed * chord) >> AREA_SHIFT)
         return 1;

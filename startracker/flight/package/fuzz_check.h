@@ -43,7 +43,7 @@ static inline void check_solved(const struct tracker_answer *answer)
     int64_t norm = 0;
     int j, k;
 
-    require(answer->matched >= 3 && answer->used >= 2 && answer->used <= answer->matched);
+    require(answer->matched >= 3 && answer->used >= 2 && answer->used <= answer->stars);
     for (k = 0; k < 4; k++)
         norm += (int64_t)answer->quaternion[k] * answer->quaternion[k];
     require(near(norm >> 30, (int64_t)1 << 30, 1 << 10) && answer->quaternion[3] >= 0);
@@ -67,7 +67,7 @@ static inline void check_answer(const struct tracker_answer *answer)
     for (k = 0; k < TRACKER_MAX_STARS; k++)
         named += answer->number[k] != 0;
     if (answer->status == TRACKER_SOLVED) {
-        require(named == answer->matched);
+        require(named == answer->used);
         check_solved(answer);
         return;
     }

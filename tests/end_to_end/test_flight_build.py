@@ -1,0 +1,327 @@
+"""The flight build: compiled, and the same answers as its integer reference, bit for bit, on every processor."""
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks.flight_fuzz import WHAT, fuzz
+from simulator.checks import load_scenario
+from simulator.cli.application import app
+from simulator.renderer import Renderer
+from simulator.study.exported_c.analysis import STRICT, analyze, cppcheck, solver_sources
+from simulator.study.exported_c.build import command, compile_export
+from simulator.study.exported_c.fuzz import missing_fuzzer
+from simulator.study.exported_c.instructions import count_instructions, marked
+from simulator.study.exported_c.targets import CLANG, CORTEX_M4, EMULATED, HOST, M68K
+from simulator.study.flight.design import flight_design
+from simulator.study.flight.program import FlightProgram, frame_bytes, list_text, parse_answer, velocity_of
+from startracker.flight.export import flight_export
+from startracker.flight.solver import FlightTracker
+from startracker.flight.unit_scenes import SEED, VELOCITY, scene_rows, unit_lists, unit_scenes
+
+COMPILER_CALLS = {"memset", "memcpy", "memmove"}
+"""What a compiler may call for an assignment or a loop."""
+CONTEXT_LIMIT = 64 * 1024
+PACKAGE = Path(__file__).parents[2] / "startracker" / "flight" / "package"
+
+needs_gcc = pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine (Debian: gcc)")
+needs_m4 = pytest.mark.skipif(
+    CORTEX_M4.missing() is not None, reason=f"{CORTEX_M4.missing()} is not installed (Debian: {CORTEX_M4.debian})"
+)
+
+
+def design_of(name, arithmetic="fixed"):
+    return flight_design(load_scenario(Path(name)), arithmetic)
+
+
+@pytest.fixture(scope="module")
+def design():
+    """The camera of 192 × 165 pixels, whose frames are solved soon."""
+    return design_of("tc211")
+
+
+@pytest.fixture(scope="module")
+def tracker(design):
+    return FlightTracker.build(design)
+
+
+@pytest.fixture(scope="module")
+def program(design, tmp_path_factory):
+    return FlightProgram(design, tmp_path_factory.mktemp("c"))
+
+
+@pytest.fixture(scope="module")
+def frames(design):
+    """Rendered frames with the velocity of the observer, and frames that are none."""
+    renderer = Renderer(load_scenario(Path("tc211"), ["study.sampling=sky"]))
+    seen = [renderer.frame(index)[0] for index in range(4)]
+    images = [(frame.image, velocity_of(frame.observer.velocity_km_s)) for frame in seen]
+    odd = [np.full((165, 192), 300, np.uint16), np.full((165, 192), 65535, np.uint16)]
+    odd.append((np.arange(165 * 192).reshape(165, 192) * 7919 % 60000).astype(np.uint16))
+    return [*images, *((image, (0, 0, 0)) for image in odd)]
+
+
+def same(answer, expected):
+    """Whether a printed answer is the reference's, to the last bit."""
+    counts = {
+        name: int(getattr(expected, name)) for name in ("stars", "matched", "used", "evidence", "chance", "steps")
+    }
+    counts["contradicted"] = int(expected.prior_contradicted)
+    assert (answer.status, answer.reason) == (str(expected.status), expected.reason.name.lower())
+    assert answer.counts == counts
+    if expected.solved:
+        assert answer.quaternion == tuple(expected.quaternion.tolist())
+        assert answer.covariance == tuple(expected.covariance.ravel().tolist())
+        assert answer.numbers == tuple(expected.number.tolist())
+    else:
+        assert answer.quaternion == answer.covariance == answer.numbers == ()
+    return answer.status
+
+
+@needs_gcc
+def test_frames_bit_for_bit(program, tracker, frames):
+    statuses = [
+        same(program.frames([image], velocity)[0], tracker.solve(image, velocity=velocity))
+        for image, velocity in frames
+    ]
+    assert statuses.count("solved") >= 3
+    assert {"bad_image"} < set(statuses)
+
+
+def lists_of(design, count):
+    """Lists of the unit tests with stars moved, missing, repeated and outside the image."""
+    rng = np.random.default_rng(11)
+    made = []
+    for k in range(count):
+        stars = unit_lists(design)[k % 4]
+        kept = rng.random(len(stars.x)) < (1.0, 0.7, 0.4)[k % 3]
+        stars = type(stars)(*(column[kept] for column in stars))
+        x, y = (column + rng.normal(0.0, 20000.0 * (k % 2), len(column)).astype(np.int64) for column in stars[:2])
+        made.append(stars._replace(x=x, y=y, variance=stars.variance * (k % 5 > 0)))
+    far = unit_lists(design)[0]
+    made.append(far._replace(x=far.x + (300 << 16)))
+    made.append(far._replace(x=far.x * 0, y=far.y * 0))
+    made.append(far._replace(flux=far.flux * 0, variance=far.variance * 0 + (1 << 32) - 1))
+    return made
+
+
+@needs_gcc
+def test_lists_bit_for_bit(program, tracker, design):
+    lists = lists_of(design, 24)
+    answers = program.lists([list_text(stars, VELOCITY) for stars in lists])
+    statuses = [
+        same(answer, tracker.solve_stars(stars, velocity=VELOCITY))
+        for answer, stars in zip(answers, lists, strict=True)
+    ]
+    assert statuses.count("solved") >= 4
+    assert {"solved", "too_few_stars", "no_match"} <= set(statuses)
+
+
+@needs_gcc
+def test_memory_and_calls_of_the_cubesat(tmp_path):
+    """1024 × 1024 pixels in 64 kB beside the tables; no static variable, heap or library."""
+    program = FlightProgram(design_of("cubesat"), tmp_path)
+    build = program.build
+    assert build.context_bytes <= CONTEXT_LIMIT
+    assert build.static_bytes == 0
+    assert build.heap_calls == ()
+    assert 0 < build.stack_bytes < 8192
+    objects = [str(tmp_path / f"tracker_{module}.o") for module in ("tables", *program.export.modules)]
+    missing = {line.split()[-1] for line in command(["nm", "-u", *objects]).stdout.splitlines() if " U " in line}
+    assert {name for name in missing if not name.startswith("tracker_")} <= COMPILER_CALLS
+    code = "".join(program.export.files[name] for name in solver_sources(program.export))
+    assert not re.search(r"\b(malloc|calloc|realloc|free)\s*\(|\bgoto\b|<(math|string|stdlib)\.h>", code)
+
+
+@needs_gcc
+@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
+def test_command_writes_a_package_that_builds_and_passes_its_tests(tmp_path, arithmetic):
+    words = ["export-c", str(tmp_path / "c"), "--scenario", "tc211", "--arithmetic", arithmetic, "--prefix", "tc"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    for word in ("tables", "context", "stack", "heap", "0 bytes", "time of a frame", "README.md"):
+        assert word in done.output
+    made = subprocess.run(
+        ["make", "-C", str(tmp_path / "c"), "test", "solve"], capture_output=True, text=True, check=False
+    )
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert "4 frames, 0 failed" in made.stdout
+    assert "5 lists, 0 failed" in made.stdout
+    version = command([str(tmp_path / "c" / "solve"), "version"]).stdout
+    assert "scenario tc211 " in version
+    assert f"; {arithmetic}; adaptive; " in version
+    assert version.strip().encode() in (tmp_path / "c" / "solve").read_bytes()
+
+
+@needs_gcc
+def test_unit_tests_notice_a_wrong_answer(design, tmp_path):
+    """A threshold of the detection changed by one unit, or a guide star's number, fails them."""
+    export = flight_export(design)
+    for name, old, new in (
+        ("tracker_tables.h", r"(FRONT_THRESHOLD) (\d+)", lambda m: f"{m[1]} {int(m[2]) * 2}"),
+        (
+            "test_data.h",
+            r"(test_list_answer\[\] = \{\n    \{0, 0, \d+, \d+, \d+, -?\d+, -?\d+, \d+, 0, \{)(\d+)",
+            r"\g<1>1",
+        ),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        text, changed = re.subn(old, new, export.files[name], count=1)
+        assert changed
+        for file, content in {**export.files, name: text}.items():
+            (folder / file).write_text(content)
+        assert subprocess.run(["make", "-C", str(folder), "test"], capture_output=True, check=False).returncode != 0
+
+
+@needs_gcc
+def test_what_the_program_refuses(program):
+    for data, words, said in (
+        (b"1 2\n", ["stars"], "no star: 1 2"),
+        (b"prior 1 2 3\n", ["stars"], "no star: prior"),
+        (b"abc", ["frames"], "fewer than 165 rows"),
+        (b"", ["nothing"], "frames"),
+    ):
+        with pytest.raises(Exception, match=said):
+            program.build.run(data, *words)
+    assert program.build.run(b"", "frames") == program.build.run(b"", "stars") == b""
+
+
+def test_the_example_names_every_status_and_reason():
+    header = (PACKAGE.parent / "c" / "tracker_types.h").read_text()
+    example = (PACKAGE / "main.c").read_text()
+    for kind, array in (("status", "statuses"), ("reason", "reasons")):
+        listed = re.findall(r"^    TRACKER_(\w+)", header.split(f"enum tracker_{kind} {{")[1].split("};")[0], re.M)
+        printed = re.findall(r'"(\w+)"', example.split(f"{array}[] = {{")[1].split("};")[0])
+        assert [name.lower().replace("frame_saturated", "saturated") for name in listed] == printed
+
+
+# ------------------------------------------------------------------ all compilers and processors
+@pytest.mark.slow
+@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
+@pytest.mark.parametrize("target", EMULATED, ids=lambda target: target.name)
+def test_every_processor_gives_the_same_bits(target, arithmetic, frames, tmp_path):
+    if target.missing():
+        pytest.skip(f"{target.missing()} is not installed (Debian: {target.debian})")
+    if target is M68K and arithmetic == "float":
+        pytest.skip("the CPU32 has no floating-point unit, and gcc's software for it rounds differently: use fixed")
+    made = design_of("tc211", arithmetic)
+    (tmp_path / "host").mkdir()
+    (tmp_path / "target").mkdir()
+    here, there = (FlightProgram(made, tmp_path / name, one) for name, one in (("host", HOST), ("target", target)))
+    texts = "".join(list_text(stars, VELOCITY) for stars in lists_of(made, 12)).encode()
+    expected = here.build.run(texts, "stars")
+    assert expected.count(b"solved ") >= 2
+    assert there.build.run(texts, "stars") == expected
+    image, velocity = frames[0]
+    words = ("frames", *map(str, velocity))
+    expected = here.build.run(frame_bytes(image), *words)
+    assert parse_answer(expected.decode()).status == "solved"
+    assert there.build.run(frame_bytes(image), *words) == expected
+    assert there.build.context_bytes <= CONTEXT_LIMIT
+    counts = count_instructions(there.build, frame_bytes(image), *words)
+    assert 1e6 < counts.total < 1e8
+    assert {"rows", "search", "pose_fit"} <= set(counts.modules)
+
+
+@pytest.mark.slow
+@needs_m4
+def test_answers_are_counted_one_by_one(design, tmp_path):
+    """The sum over the lists is that of the modules, but for the functions that mark them."""
+    program = FlightProgram(design, tmp_path, marked(CORTEX_M4, "tracker"))
+    texts = [list_text(stars, VELOCITY) for stars in unit_lists(design)]
+    counts = count_instructions(program.build, "".join(texts).encode(), "stars")
+    assert len(counts.answers) == 4
+    assert counts.answers[3] < min(counts.answers[:3])  # two stars are refused at once
+    assert sum(counts.answers) == pytest.approx(sum(n for name, n in counts.modules.items()), rel=0.05)
+
+
+@pytest.mark.slow
+@needs_gcc
+@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
+def test_compilers_and_analysis_find_nothing(arithmetic, tmp_path):
+    """gcc and Clang with all warnings as errors, gcc's analyzer, cppcheck; MISRA's rules as MISRA.md lists them."""
+    made = design_of("tc211", arithmetic)
+    export = flight_export(made)
+    compile_export(export, tmp_path, HOST, [*STRICT, "-O3"])
+    if CLANG.missing() is None:
+        compile_export(export, tmp_path, CLANG, STRICT)
+    analyze(export, tmp_path)
+    if shutil.which("cppcheck") is None:
+        pytest.skip("cppcheck is not installed (Debian: cppcheck)")
+    found = cppcheck(export, tmp_path)
+    assert found.others == ()
+    listed = set(re.findall(r"\d+\.\d+", "".join(re.findall(r"^\|([^|]+)\|", export.files["MISRA.md"], re.M))))
+    assert set(found.rules) <= listed
+
+
+@pytest.mark.slow
+@needs_gcc
+@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
+def test_sanitizers_find_nothing(arithmetic, frames, tmp_path):
+    made = design_of("tc211", arithmetic)
+    flags = ["-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all", "-O1", "-g"]
+    program = FlightProgram(made, tmp_path)
+    plain = [program.frames([image], velocity) for image, velocity in frames]
+    texts = [list_text(stars, VELOCITY) for stars in lists_of(made, 16)]
+    lists = program.lists(texts)
+    program.build = compile_export(program.export, tmp_path, HOST, flags)
+    assert [program.frames([image], velocity) for image, velocity in frames] == plain
+    assert program.lists(texts) == lists
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing_fuzzer() is not None, reason=str(missing_fuzzer()))
+@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
+@pytest.mark.parametrize("what", list(WHAT))
+def test_ten_seconds_of_fuzzing_find_nothing(what, arithmetic, tmp_path):
+    (tmp_path / "c").mkdir()
+    result = fuzz(what, arithmetic, 10, tmp_path / "corpus", tmp_path / "c")
+    assert result.finding == ""
+    assert result.executions > 100
+    assert result.edges > 400
+
+
+@pytest.mark.slow
+@needs_gcc
+def test_cmake_builds_and_tests_it(design, tmp_path):
+    if shutil.which("cmake") is None:
+        pytest.skip("cmake is not installed (Debian: cmake)")
+    for name, text in flight_export(design, "vega").files.items():
+        (tmp_path / name).write_text(text)
+    build = str(tmp_path / "build")
+    command(["cmake", "-S", str(tmp_path), "-B", build])
+    command(["cmake", "--build", build])
+    assert "100% tests passed" in command(["ctest", "--test-dir", build]).stdout
+
+
+@pytest.mark.slow
+@needs_gcc
+def test_float_is_close_to_the_reference(tracker, frames, tmp_path):
+    """Attitudes of the same stars differ by less than a hundredth of their standard error."""
+    program = FlightProgram(replace(tracker.design, arithmetic="float"), tmp_path)
+    compared = 0
+    for image, velocity in frames:
+        expected, answer = tracker.solve(image, velocity=velocity), program.frames([image], velocity)[0]
+        assert (answer.status, answer.numbers) == (
+            str(expected.status),
+            tuple(expected.number.tolist()) * expected.solved,
+        )
+        if expected.solved:
+            turn = 2.0 * (np.array(answer.quaternion) - expected.quaternion) / (1 << 30)
+            assert np.linalg.norm(turn) < 0.01 * np.sqrt(np.trace(expected.covariance_rad2)) + 4.0 / (1 << 30)
+            compared += 1
+    assert compared >= 3
+
+
+def test_scenes_are_made_alike_in_c_and_python(design):
+    """Answers of the unit tests depend on every pixel: their scenes hold stars and noise, and one is blank."""
+    scenes = unit_scenes(design)
+    assert [len(scene.x8) > 3 for scene in scenes] == [True, True, False]
+    assert scene_rows(design, scenes[0], SEED).max() <= design.detector.saturation_dn

@@ -1,0 +1,135 @@
+"""The flight build's solver in C: the same answers as its reference in Python, bit for bit, with sanitizers."""
+
+import math
+import shutil
+
+import numpy as np
+import pytest
+
+from benchmarks.flight_lists import FIELDS, field_list, null_list
+from benchmarks.flight_tracker import lists_text
+from benchmarks.integer_lists import PATTERNS
+from simulator.randomness import stream
+from simulator.study.exported_c.build import HOST, compile_export
+from simulator.study.exported_c.targets import Target
+from startracker import Camera, StarTracker
+from startracker.distortion import Distortion
+from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.flight.export import flight_export
+from startracker.flight.search import FlightPrior
+from startracker.flight.solver import FlightTracker
+from startracker.flight.stars import StarList
+
+SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wshadow")
+CLANG = Target("this machine", "clang-14")
+BUILDS = {"gcc": HOST, "clang": CLANG}
+ONE = 1 << 30
+
+
+@pytest.fixture(scope="module")
+def star_tracker():
+    camera = Camera(4545.5, 4545.5, 511.5, 511.5, 1024, 1024, Distortion(k1=-0.05))
+    return StarTracker(camera, magnitude_limit=5.8)
+
+
+@pytest.fixture(scope="module")
+def design(star_tracker):
+    return FlightDesign(star_tracker.camera, star_tracker.guide, DetectorNumbers(3.3, 13.0, 4083), 0.9)
+
+
+@pytest.fixture(scope="module")
+def tracker(design):
+    return FlightTracker.build(design)
+
+
+@pytest.fixture(scope="module", params=BUILDS)
+def build(request, design, tmp_path_factory):
+    target = BUILDS[request.param]
+    if shutil.which(target.compiler) is None:
+        pytest.skip(f"no {target.compiler} on this machine")
+    return compile_export(flight_export(design), tmp_path_factory.mktemp(request.param), target, SANITIZED)
+
+
+def line(answer):
+    """An answer as the program prints it."""
+    text = f"{answer.status.value} {answer.reason.name.lower()} stars={answer.stars} matched={answer.matched}"
+    text += f" used={answer.used} evidence={answer.evidence} chance={answer.chance} steps={answer.steps}"
+    text += f" contradicted={int(answer.prior_contradicted)}"
+    if answer.solved:
+        numbers = {"covariance": answer.covariance.ravel(), "numbers": answer.number}
+        quaternion = ",".join(f"{q / ONE:.10f}" for q in answer.quaternion.tolist())
+        text += f" quaternion={quaternion}"
+        text += "".join(f" {name}={','.join(map(str, values))}" for name, values in numbers.items())
+    return text
+
+
+def compare(build, tracker, lists, before=None):
+    """Answers of lists that Python and C give alike."""
+    before = before or [("", {})] * len(lists)
+    text = "".join(more + lists_text([one]) for one, (more, _) in zip(lists, before, strict=True))
+    got = build.run(text.encode(), "stars").decode().splitlines()
+    answers = [tracker.solve_stars(one, **known) for one, (_, known) in zip(lists, before, strict=True)]
+    assert got == [line(answer) for answer in answers]
+    return answers
+
+
+def test_fields_bit_for_bit(build, tracker, star_tracker):
+    rng = stream(1, "flight solver fields")
+    lists = [field_list(star_tracker, kind, rng).stars for kind in FIELDS.values() for _ in range(5)]
+    answers = compare(build, tracker, lists)
+    assert sum(answer.solved for answer in answers) > 20
+
+
+def test_priors_and_velocities_bit_for_bit(build, tracker, star_tracker):
+    rng = stream(2, "flight solver priors")
+    lists, before = [], []
+    for k in range(10):
+        one = field_list(star_tracker, FIELDS["missing stars" if k % 2 else "few stars"], rng)
+        turn = rng.normal(size=3) * 10.0 ** rng.uniform(-5.0, -1.0)
+        cross = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
+        u, _, v = np.linalg.svd((np.eye(3) + cross) @ one.matrix)
+        matrix = np.rint(u @ v * ONE).astype(np.int64)
+        if k == 9:
+            matrix = matrix[[1, 2, 0]]
+        radius = round(min(1.5 * float(np.linalg.norm(turn)), math.pi) * (1 << 28)) + 1
+        velocity = np.rint(rng.normal(size=3) * 6e4).astype(np.int64)
+        prior = " ".join(map(str, [*matrix.ravel(), radius]))
+        known = {"velocity": velocity, "prior": FlightPrior(matrix, radius)}
+        lists.append(one.stars)
+        before.append((f"velocity {' '.join(map(str, velocity))}\nprior {prior}\n", known))
+    answers = compare(build, tracker, lists, before)
+    assert sum(answer.solved for answer in answers) > 4
+
+
+def test_lists_that_make_no_sense_bit_for_bit(build, tracker, star_tracker):
+    """Empty, of one place, outside, at the limits of the types, with unknown or impossible errors and fluxes."""
+    good = field_list(star_tracker, FIELDS["clean"], stream(3, "flight solver nonsense")).stars
+    n = len(good.x)
+    most = np.full(n, (1 << 31) - 1)
+    lists = [
+        good.take(np.arange(0)),
+        good.take(np.arange(2)),
+        good.take(np.zeros(60, int)),
+        good.take(np.arange(90) % n),
+        good._replace(x=most, y=-most),
+        good._replace(x=good.x + (2000 << 16)),
+        good._replace(variance=np.zeros(n, int), flux=np.zeros(n, int)),
+        good._replace(variance=np.full(n, (1 << 32) - 1)),
+        good._replace(variance=np.full(n, (25 << 26) - 1)),
+        good._replace(variance=np.where(np.arange(n) % 2, 1, 20 << 26)),
+        good._replace(flux=most, flags=np.full(n, 65535)),
+        good._replace(flux=-most),
+        StarList(*(np.array(column) for column in ([0, 1, 2], [0, 0, 1], [9, 8, 7], [1, 1, 1], [0, 0, 0]))),
+    ]
+    statuses = {answer.status.value for answer in compare(build, tracker, lists)}
+    assert {"no_stars", "too_few_stars", "no_match", "solved"} <= statuses
+
+
+def test_no_sky_is_not_solved(build, tracker, star_tracker):
+    """None of the lists in C, and one of each of two patterns bit for bit."""
+    rng = stream(4, "flight solver null")
+    lists = [null_list(star_tracker, pattern, rng) for pattern in PATTERNS]
+    lines = build.run(lists_text(lists).encode(), "stars").decode().splitlines()
+    assert len(lines) == len(lists)
+    assert not any(one.startswith("solved") for one in lines)
+    compare(build, tracker, [lists[1].take(np.arange(12)), lists[4].take(np.arange(15))])
