@@ -36,7 +36,7 @@ def background_lines(image: NDArray[np.uint16], tables: FrontTables) -> Lines:
 
     Each tile of 4 rows gives a clipped mean and standard deviation, which pass a median of three along x; along y the
     level follows them with a slope (an alpha-beta filter of 1/8 and 1/128; 1/2 and 1/4 for the first blocks), the noise
-    exponentially, and both begin anew after a step.
+    exponentially, and both begin again after a step.
     """
     height = len(image)
     tiles = len(tables.edge) - 1

@@ -45,7 +45,7 @@ _NEAR_PEAK = 3 << 14
 """From its highest pixel the image of a star is no farther along an axis, 3/4 px; its first moment may be, beside
 another star."""
 _ROUNDS = 3
-"""Of fits with the neighbours' light taken off."""
+"""Of fits with the neighbours' light subtracted."""
 _FLAT_TOP = 167772
 """0.05² px², as of `startracker.centroid.window`, 26 fraction bits."""
 _TRAIL_ENDS = 671089

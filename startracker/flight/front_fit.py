@@ -19,7 +19,7 @@ from startracker.flight.stars import MOST_VARIANCE
 ITERATIONS = 8
 _NODES = 8
 _NEIGHBOUR = 10
-"""Pixels along each axis within which the light of another star is taken off."""
+"""Pixels along each axis within which the light of another star is subtracted."""
 _LONGEST_STEP = 1 << 15
 _FARTHEST = 5 << 15
 """From the middle of the stamp, 16 fraction bits."""
@@ -172,7 +172,7 @@ def fit_stars(
 
 
 def fit_beside(found: Candidates, fits: Fits, shared: StarImage, tables: FrontTables) -> Fits:
-    """Fits of stars that have neighbours, with the neighbours' light taken off, as fitted before; the others stay."""
+    """Fits of stars that have neighbours, with the neighbours' light subtracted, as fitted before; the others stay."""
     near = (np.abs(found.x[:, None] - found.x) <= _NEIGHBOUR) & (np.abs(found.y[:, None] - found.y) <= _NEIGHBOUR)
     one, two = np.nonzero(near & fits.star[:, None] & fits.star & ~np.eye(len(found.x), dtype=np.bool_))
     if not len(one):

@@ -147,7 +147,7 @@ def search_tables(
     if design.camera.pixel_rad > LARGEST_PIXEL_RAD:
         raise InputError("a flight build takes pixels of less than 15 arcminutes; use a longer focal length")
     if design.detection.max_stars > MOST_STARS:
-        raise InputError(f"a flight build takes up to {MOST_STARS} stars a frame; set tracker.detection.max_stars")
+        raise InputError(f"a flight build takes up to {MOST_STARS} stars per frame; set tracker.detection.max_stars")
     guide, settings = design.guide, AdaptiveSettings.of(design.identification)
     if not 3 <= len(guide) < 1 << 15:
         raise InputError(f"a flight build holds 3 to 32767 guide stars, not {len(guide)}; change the magnitude limit")

@@ -5,7 +5,7 @@
 #define HALF TRACKER_FRONT_HALF
 #define ITERATIONS 8
 #define NODES 8
-#define NEIGHBOUR 10 /* pixels along each axis within which the light of another star is taken off */
+#define NEIGHBOUR 10 /* pixels along each axis within which the light of another star is subtracted */
 #define LONGEST_STEP (1 << 15)
 #define FARTHEST (5 << 15)
 #define CONVERGED (1 << 11)
@@ -118,14 +118,17 @@ static void make_images(const struct fitted *fitted, int32_t x, int32_t y)
 
 /* ------------------------------------------------------------------ sums */
 
+static int64_t smaller(int64_t a, int64_t b)
+{
+    return a < b ? a : b;
+}
+
 /* 2^19 x the dark variance over that of a pixel with a light, DN of 4 fraction bits. */
 static int64_t weight_of(const struct fitted *fitted, int32_t light)
 {
-    int64_t uneven = ((int64_t)light * TRACKER_FRONT_FLAT) >> 16, ratio;
+    const int64_t uneven = smaller(((int64_t)light * TRACKER_FRONT_FLAT) >> 16, 1 << 16);
+    const int64_t ratio = smaller(4096 + ((light * fitted->photon) >> 20) + ((uneven * uneven * fitted->flat) >> 20), INT32_MAX);
 
-    uneven = uneven < 1 << 16 ? uneven : 1 << 16;
-    ratio = 4096 + ((light * fitted->photon) >> 20) + ((uneven * uneven * fitted->flat) >> 20);
-    ratio = ratio < INT32_MAX ? ratio : INT32_MAX;
     return (int64_t)(((uint32_t)1 << 31) / (uint32_t)ratio);
 }
 

@@ -5,7 +5,7 @@
 #define BLOCK TRACKER_FRONT_BLOCK
 #define APART (2 << 16)        /* fits nearer than this along both axes are of one star */
 #define NEAR_PEAK (3 << 14)    /* from its highest pixel a star's image is no farther along an axis */
-#define ROUNDS 3               /* of fits with the neighbours' light taken off */
+#define ROUNDS 3               /* of fits with the neighbours' light subtracted */
 #define FLAT_TOP 167772        /* 0.05^2 square pixels */
 #define TRAIL_ENDS 671089      /* 0.1^2 square pixels */
 #define FEWEST_LONG 4          /* trails that make a frame trailed, */
@@ -123,7 +123,7 @@ static void fit_candidates(struct tracker_front *front)
     }
 }
 
-/* Fits of stars that have neighbours, with the neighbours' light taken off, as fitted before. */
+/* Fits of stars that have neighbours, with the neighbours' light subtracted, as fitted before. */
 static void fit_beside(struct tracker_front *front)
 {
     struct tracker_front_measures *measures = &front->work.measures;
