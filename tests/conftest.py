@@ -4,6 +4,7 @@ import os
 
 import pytest
 from hypothesis import settings
+from undrawn import undrawn
 
 from simulator.study.report import drawing
 
@@ -31,4 +32,11 @@ def one_core_each():
             from simulator.study.trials import warm_up
 
             patch.setattr(warm_up, "_cores", lambda: 1)
+        yield
+
+
+@pytest.fixture
+def no_drawing():
+    """For tests that look at no picture: figures are not drawn."""
+    with undrawn():
         yield

@@ -38,7 +38,9 @@ STATED_VARIANCE, FLOOR_VARIANCE, WORST_VARIANCE = 1475, 656, 25 << 16
 beyond which a centroid is not used (`startracker.tracker`, `startracker.identification.observed`)."""
 LOG_TWO_PI = 10861
 """log₂ 2π, rounded up."""
-_SUM_STEP = 6
+LARGEST_VARIANCE = 1 << 46
+"""Of a direction on one axis, 2⁻⁶⁰ rad²: the square of half a degree."""
+_SUM_STEP, _EXTENT_SHIFT = 6, 4
 _MAGNITUDE_FACTOR, _MAGNITUDE_SHIFT = 24660, 21
 """2.5 log₁₀ 2, in units of 2⁻⁶ magnitudes per 2⁻¹² of log₂ of the flux."""
 _SAMPLE = 24
@@ -97,7 +99,7 @@ def sight(stars: StarList, direction: IntArray, seen: NDArray[np.bool_], t: Sear
     if brightness:
         magnitude = -((log_down(flux, t) * _MAGNITUDE_FACTOR) >> _MAGNITUDE_SHIFT)
     vectors = direction[usable]
-    variance = (stated * t.pixel2) >> 16
+    variance = np.minimum((stated * (t.pixel2 >> 4)) >> 12, LARGEST_VARIANCE)
     return Sight(usable, vectors, variance, magnitude, brightness, crowding(vectors, t))
 
 
@@ -131,12 +133,12 @@ def crowding(points: IntArray, t: SearchTables) -> IntArray:
     if n < 2:
         return none
     mean = points.sum(axis=0) // n
-    extent2 = int(((points - mean) ** 2).sum()) // n
+    extent2 = int((((points - mean) >> _EXTENT_SHIFT) ** 2).sum()) // n
     if extent2 < 1:
         return none
     apart = points[:, None] - points[None]
     d2 = np.maximum((apart * apart).sum(axis=-1), 1)
-    log_extent = int(log_down(np.array(extent2), t))
+    log_extent = int(log_down(extent2, t)) + 2 * _EXTENT_SHIFT * _ONE
     x = log_down(d2, t) - log_extent - LOG_UP  # 1/(1 + x)² is the larger the smaller x
     widths = np.arange(CROWD_WIDTHS)
     entry = (x + (2 * widths[:, None, None] - CROWD_FROM) * _ONE) >> CROWD_STEP_BITS

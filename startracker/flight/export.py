@@ -102,8 +102,8 @@ def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: st
         if item.is_file()
     }
     texts = {**sources, **headers, **tables, **package, "test_data.h": tests}
-    named = {prefixed(name, prefix): prefixed(_licensed(name, text), prefix) for name, text in sorted(texts.items())}
-    return CExport(prefix, named, {table.name: table.bytes for table in arrays}, modules)
+    texts = {prefixed(name, prefix): prefixed(_licensed(name, text), prefix) for name, text in sorted(texts.items())}
+    return CExport(prefix, texts, {table.name: table.bytes for table in arrays}, modules)
 
 
 def _collected(design: FlightDesign, parts: Sequence[Part]) -> tuple[dict[str, int], list[CTable]]:

@@ -147,7 +147,7 @@ def _trailed_stars(objects: Objects, points: int, tables: FrontTables) -> StarLi
     moments = (objects.xx, objects.yy, objects.xy)
     middle = [int(np.sort(column[long])[count // 2]) for column in moments]
     off = np.abs([column - value for column, value in zip(moments, middle, strict=True)]).max(axis=0)
-    return _stars_of(objects, variance, ELONGATED).take(long & (10 * off <= 3 * (middle[0] + middle[1])))
+    return _stars_of(objects, variance, ELONGATED).take(long & (5 * off <= middle[0] + middle[1]))
 
 
 def _stars_of(objects: Objects, variance: IntArray, flag: int) -> StarList:

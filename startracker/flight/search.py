@@ -32,7 +32,7 @@ _AS_STATED = 3
 """Number of the width 2.2."""
 _LOG_SIX_PI = 17352
 """log₂ 6π, rounded down."""
-_MOST_RATIO, _LARGEST_VARIANCE = 1 << 16, 1 << 42
+_MOST_RATIO, _LARGEST_VARIANCE = 1 << 15, 1 << 42
 _ONE_RADIAN = 1 << 28
 CANDIDATE_STEPS, STAR_STEPS = 30, 60
 """Of a candidate, and of each star that may confirm it."""

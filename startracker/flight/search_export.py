@@ -8,7 +8,7 @@ from startracker.fixed_point.c_table import CTable
 from startracker.flight import search, search_plan, search_tables, verifying, votes
 from startracker.flight.search_tables import SearchTables
 
-SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "search")
+SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "confirm", "search")
 
 
 def search_constants(t: SearchTables) -> dict[str, int]:
@@ -67,7 +67,8 @@ def _most_steps(t: SearchTables) -> int:
     verification = verifying.STEPS + (rounds + 14 * max(map(len, verifying.GATES))) * stars * depth
     candidate = search.CANDIDATE_STEPS + search.STAR_STEPS * search.MOST_OTHERS + verification
     beyond = counting + a_pass + candidate
-    return int(2 * (verification + sum(one.steps + beyond for one in search_plan.SEARCHES)))
+    most: int = 2 * (verification + sum(one.steps + beyond for one in search_plan.SEARCHES))
+    return most
 
 
 def search_arrays(t: SearchTables) -> list[CTable]:

@@ -41,7 +41,8 @@ PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD = 0.3, 0.8, 14
 """Largest separation of the pairs, of the field's diagonal; that of pairs of the brightest stars everywhere, so many in
 a circle around the field: if an image has few stars, they are those and far apart."""
 _BINS = 2048
-MOST_STARS = 120
+MOST_STARS, LARGEST_PIXEL_RAD = 120, 4.4e-3
+"""Limits of 8-bit indices, and of products of 64 bits."""
 COLUMNS = 64
 COLUMN_SHIFT = 31 - COLUMNS.bit_length() + 1
 """Columns of the grid along x and along y: squares of the unit disc."""
@@ -143,6 +144,8 @@ def search_tables(
             "identifier triads: the flight build of a scenario identifies by 'adaptive'; triads are exported for lists "
             "of centroids, by boresight export-c without --scenario"
         )
+    if design.camera.pixel_rad > LARGEST_PIXEL_RAD:
+        raise InputError("a flight build takes pixels of less than 15 arcminutes; use a longer focal length")
     if design.detection.max_stars > MOST_STARS:
         raise InputError(f"a flight build takes up to {MOST_STARS} stars a frame; set tracker.detection.max_stars")
     guide, settings = design.guide, AdaptiveSettings.of(design.identification)

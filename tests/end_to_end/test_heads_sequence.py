@@ -94,6 +94,7 @@ def test_files(whole):
     assert "Alignment of a" not in page
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_same_seed_same_rows_and_interruption_keeps_what_is_done(whole, tmp_path):
     def stop_at_five(done, total):
         if done == 5:
@@ -186,6 +187,7 @@ def test_one_camera_has_no_columns_of_heads():
     assert "heads" not in sequence.summary
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_on_the_command_line(capsys, tmp_path):
     assert _run(["run", "two_heads", "--sequence", "--frames", "3", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out

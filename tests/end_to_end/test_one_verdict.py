@@ -32,6 +32,7 @@ AMOUNTS = Amounts(2, 40, 4, 3, 1, 3, 8, 3, 200)
 @pytest.mark.parametrize(
     ("limit_deg", "expected"), [pytest.param(0.02, "met", marks=pytest.mark.slow), (1.0e-5, "not met")]
 )
+@pytest.mark.usefixtures("no_drawing")
 def test_all_commands_give_the_same_verdict(tmp_path, monkeypatch, capsys, limit_deg, expected):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "judged.yaml").write_text(CAMERA.replace("LIMIT", f"{limit_deg:g}"))

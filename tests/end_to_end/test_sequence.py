@@ -101,6 +101,7 @@ def test_animation_shows_windows_and_stars(whole):
     assert windows[6] == stars[6] == 0
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_same_seed_same_rows(whole):
     again = rows_of(run_sequence(whole.scenario, single=True).frames)
     for a, b in zip(rows_of(whole.frames), again, strict=True):
@@ -109,6 +110,7 @@ def test_same_seed_same_rows(whole):
     assert other[3]["true_qx"] != again[3]["true_qx"]
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_interrupt_keeps_what_is_done(whole, tmp_path):
     def stop_at_five(done, total):
         if done == 5:
@@ -231,6 +233,7 @@ def test_options_that_do_not_fit(arguments, words, capsys, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_command_line(tmp_path, capsys):
     options = [text for override in SMALL for text in ("--set", override)]
     assert (

@@ -36,6 +36,7 @@ def test_coverage_leaves_its_files_and_says_the_minimum(tmp_path, capsys):
     )
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_coverage_says_which_angle_excludes_everything(tmp_path, capsys):
     """A camera that looks down, and a baffle whose angles were left as they are by default."""
     down = ["--path", "--boresights", "20", "--set", "pointing.offset_deg=[90,0,0]"]
@@ -56,6 +57,7 @@ def test_coverage_says_which_angle_excludes_everything(tmp_path, capsys):
     assert "within 12° of its centre (optics.baffle.moon_exclusion_deg, as set)" in printed
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_design_answers_by_its_exit_status(tmp_path, capsys):
     common = [
         "study",
@@ -88,6 +90,7 @@ def test_design_answers_by_its_exit_status(tmp_path, capsys):
     assert "No aperture in this range" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_a_design_that_its_verification_contradicts_fails(tmp_path, capsys, monkeypatch):
     """Every frame is off by some hundred times what was predicted."""
     command = ["study", "design", "cubesat_ideal", *SMALL, "--over", "optics.aperture_mm", "--boresights", "200"]
@@ -114,6 +117,7 @@ def test_a_design_that_its_verification_contradicts_fails(tmp_path, capsys, monk
     assert any("yaw" in reason for reason in told["contradictions"])
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_the_budget_is_written_for_the_report(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("simulator.study.budget.error_budget.EFFECTS", EFFECTS[:2])  # each is a run of its own
     out = tmp_path / "b"
@@ -144,6 +148,7 @@ def test_a_mistake_is_one_clear_line_and_leaves_nothing(arguments, tmp_path, mon
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_results_of_another_study_are_not_replaced(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("simulator.study.budget.error_budget.EFFECTS", EFFECTS[:1])
     small = ["cubesat_ideal", *SMALL, "--set", "optics.focal_length_mm=8", "--set", "optics.aperture_mm=6"]

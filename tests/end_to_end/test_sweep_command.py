@@ -12,6 +12,7 @@ from simulator.cli import _run
 from simulator.cli.sweep_command import SweepProgress
 
 
+@pytest.mark.usefixtures("no_drawing")
 def test_sweep_refuses_reports_and_compares(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # 100 mm at 15.09 mm would be f/0.15
@@ -49,6 +50,7 @@ def test_mistakes_are_one_clear_line_and_leave_nothing(arguments, tmp_path, monk
 @pytest.mark.parametrize(
     "trials_done", [pytest.param(4, id="between points", marks=pytest.mark.slow), pytest.param(5, id="within a point")]
 )
+@pytest.mark.usefixtures("no_drawing")
 def test_interrupt_keeps_finished_points_and_resume_completes_them(trials_done, tmp_path, monkeypatch, capsys):
     command = ["sweep", "tc211", "--out", "s", "--trials", "4", "--workers", "1", "--over", "optics.aperture_mm=14,16"]
     monkeypatch.chdir(tmp_path)

@@ -19,6 +19,7 @@ PATH -->`` anywhere says which file of a command is a picture of the page.
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import re
@@ -282,18 +283,31 @@ def workspace(folder: Path, *, photographs: bool = True):
 
 def make_photographs() -> None:
     """Files that a reader brings: photo.jpg with 8 bits, and three with 16 bits in photos/."""
+    Path("photos").mkdir()
+    for name, data in _photographs().items():
+        Path(name).write_bytes(data)
+
+
+@functools.cache
+def _photographs() -> dict[str, bytes]:
+    """The same for all pages."""
     import numpy as np
     from PIL import Image
 
     from simulator import Renderer, Scenario
 
-    Path("photos").mkdir()
+    files = {}
     for k, (ra, dec) in enumerate([(83, 0), (80, 2), (86, -3)]):
         scenario = Scenario.load("cubesat", [f"pointing.target=[{ra}, {dec}, {40 * k}]", "sky.earth=false"])
         dn = Renderer(scenario).frame(0)[0].image
-        Image.fromarray((dn.astype(np.uint32) * 16).clip(0, 65535).astype(np.uint16)).save(f"photos/{k}.tiff")
+        picture = Image.fromarray((dn.astype(np.uint32) * 16).clip(0, 65535).astype(np.uint16))
+        picture.save(tiff := io.BytesIO(), "tiff")
+        files[f"photos/{k}.tiff"] = tiff.getvalue()
         if k == 0:
-            Image.fromarray((dn.astype(float) / 4).clip(0, 255).astype(np.uint8)).save("photo.jpg", quality=95)
+            picture = Image.fromarray((dn.astype(float) / 4).clip(0, 255).astype(np.uint8))
+            picture.save(jpeg := io.BytesIO(), "jpeg", quality=95)
+            files["photo.jpg"] = jpeg.getvalue()
+    return files
 
 
 if __name__ == "__main__":

@@ -65,6 +65,19 @@ def adverse(width, height):
         stars += flux / 5 * np.exp(-((x - sx) ** 2 + (y - sy) ** 2) / 1.6)
     yield "crowd", np.clip(stars, 0, 65535)
     yield "saturated crowd", np.clip(40 * stars, 0, 5000)
+    pairs = rng.normal(100, 4, x.shape)
+    for sy in range(8, height - 8, 28):
+        for sx in range(8, width - 8, 28):
+            bright, ratio, apart, turn = (
+                rng.uniform(500, 3000),
+                rng.uniform(2, 40),
+                rng.uniform(2, 9),
+                rng.uniform(0, 7),
+            )
+            ox, oy = sx + apart * np.cos(turn), sy + apart * np.sin(turn)
+            pairs += bright * np.exp(-((x - sx) ** 2 + (y - sy) ** 2) / 1.6)
+            pairs += bright / ratio * np.exp(-((x - ox) ** 2 + (y - oy) ** 2) / 1.6)
+    yield "pairs", pairs
     trails = rng.normal(100, 4, x.shape)
     for _ in range(12):
         sx, sy = rng.uniform(0, width), rng.uniform(0, height)
@@ -90,7 +103,7 @@ def test_adverse_frames_bit_for_bit(design, tmp_path, build):
     tables = resized(design, *side)
     found = compare(tables, CompiledFront(tables, tmp_path, *options))
     if build == "plain":
-        assert min(found[name] for name in ("crowd", "saturated crowd", "trails")) > 0
+        assert min(found[name] for name in ("crowd", "saturated crowd", "pairs", "trails")) > 0
         for name in ("dark", "full", "columns", "slope", "noise of no light", "checkerboard"):
             assert found[name] == 0, name
 

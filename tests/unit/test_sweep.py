@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from undrawn import undrawn
 
 from simulator.checks import load_scenario
 from simulator.cli.terminal import time_left_s
@@ -19,6 +20,13 @@ from startracker.errors import InputError
 OVER = ["optics.aperture_mm=15,31", "tracker.centroider=moment,maximum_likelihood"]
 TRIALS = 4
 SEED = 7
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_drawing():
+    """The pictures of sweeps: test_study_pages.py."""
+    with undrawn():
+        yield
 
 
 @pytest.fixture(scope="module")

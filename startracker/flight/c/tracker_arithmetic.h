@@ -15,10 +15,11 @@
 #ifdef TRACKER_FLOAT
 typedef float tracker_real;
 #else
-typedef struct {
+struct tracker_number {
     int32_t m; /* 0, or 2^30 <= |m| < 2^31 */
     int32_t e; /* the number is m 2^e */
-} tracker_real;
+};
+typedef struct tracker_number tracker_real;
 #endif
 
 /* ------------------------------------------------------------------ real numbers: |exponent| <= 120

@@ -10,17 +10,11 @@ static tracker_real scaled(tracker_real x, int exponent)
     return tracker_times(x, tracker_real_of(1, exponent));
 }
 
-static tracker_real square_of(const tracker_real v[3])
+tracker_real tracker_square_sum(tracker_real x, tracker_real y, tracker_real z)
 {
-    tracker_real sum = tracker_times(v[0], v[0]);
+    const tracker_real sum = tracker_add(tracker_times(x, x), tracker_times(y, y));
 
-    sum = tracker_add(sum, tracker_times(v[1], v[1]));
-    return tracker_add(sum, tracker_times(v[2], v[2]));
-}
-
-tracker_real tracker_length(const tracker_real v[3])
-{
-    return tracker_real_root(square_of(v));
+    return tracker_add(sum, tracker_times(z, z));
 }
 
 /* sum of (-x)^k / (2 k + first)!, x = square. */
@@ -51,14 +45,14 @@ static void multiply(const int32_t second[4], const int32_t first[4], int64_t ou
 
 void tracker_turn_quaternion(int32_t quaternion[4], const tracker_real angle[3])
 {
-    tracker_real half[3], square, share;
+    const int down = -TRACKER_ANGLE_BITS - 1;
+    const tracker_real half[3] = {scaled(angle[0], down), scaled(angle[1], down), scaled(angle[2], down)};
+    tracker_real square, share;
     int32_t turn[4];
     int64_t q[4], length;
     int k;
 
-    for (k = 0; k < 3; k++)
-        half[k] = scaled(angle[k], -TRACKER_ANGLE_BITS - 1);
-    square = square_of(half);
+    square = tracker_square_sum(half[0], half[1], half[2]);
     share = series(square, 1);
     for (k = 0; k < 3; k++)
         turn[k] = (int32_t)tracker_integer_of(tracker_times(share, half[k]), 30);
@@ -80,7 +74,7 @@ void tracker_rotation_between(const int32_t first[4], const int32_t second[4], t
     multiply(second, back, q);
     for (k = 0; k < 3; k++)
         vector[k] = tracker_real_of(q[3] < 0 ? -q[k] : q[k], -30);
-    sine = tracker_length(vector);
+    sine = tracker_real_root(tracker_square_sum(vector[0], vector[1], vector[2]));
     if (tracker_sign(sine) > 0) {
         share = tracker_arctangent(sine, tracker_real_of(tracker_magnitude(q[3]), -30));
         share = tracker_over(scaled(share, 1), sine);
@@ -119,8 +113,9 @@ static void transform(tracker_real a[6][6], tracker_real p[6][6], tracker_real a
             p[i][j] = p[j][i] = scaled(tracker_add(p[i][j], p[j][i]), -1);
 }
 
+/* A step: its powers 1, t, t^2, t^3, the rate in rad/s, the rotation vector. */
 struct powers {
-    tracker_real one[6]; /* of the step: 1, t, t^2, t^3 */
+    tracker_real one[4], omega[3], angle[3];
     tracker_real s1, c1, d1, f1, e1;
 };
 
@@ -151,11 +146,11 @@ static tracker_real signed_as(tracker_real x, int sign)
     return sign < 0 ? tracker_minus(x) : x;
 }
 
-static void make_transition(const tracker_real omega[3], const struct powers *p, int sign, const tracker_real psd[3],
+static void make_transition(const struct powers *p, int sign, const tracker_real psd[3],
                             tracker_real phi[6][6], tracker_real noise[6][6])
 {
-    const tracker_real zero = tracker_zero(), w2 = tracker_times(tracker_length(omega), tracker_length(omega));
-    const tracker_real x = omega[0], y = omega[1], z = omega[2];
+    const tracker_real zero = tracker_zero(), w = tracker_real_root(tracker_square_sum(p->omega[0], p->omega[1], p->omega[2])), w2 = tracker_times(w, w);
+    const tracker_real x = p->omega[0], y = p->omega[1], z = p->omega[2];
     const tracker_real cross[3][3] = {{zero, tracker_minus(z), y}, {z, zero, tracker_minus(x)}, {tracker_minus(y), x, zero}};
     int i, j;
 
@@ -165,7 +160,7 @@ static void make_transition(const tracker_real omega[3], const struct powers *p,
     for (i = 0; i < 3; i++) {
         for (j = 0; j < 3; j++) {
             const tracker_real one = tracker_real_of(i == j, 0);
-            const tracker_real twice = tracker_subtract(tracker_times(omega[i], omega[j]), tracker_times(one, w2));
+            const tracker_real twice = tracker_subtract(tracker_times(p->omega[i], p->omega[j]), tracker_times(one, w2));
             const tracker_real half = tracker_times(tracker_times(p->one[2], tracker_real_of(1, -1)), one);
             const tracker_real third = tracker_times(tracker_over(p->one[3], tracker_real_of(3, 0)), one);
             tracker_real mixed = element(half, p->d1, p->f1, cross[i][j], twice);
@@ -184,13 +179,13 @@ static void make_transition(const tracker_real omega[3], const struct powers *p,
 int tracker_propagate(int32_t quaternion[4], tracker_real covariance[6][6], const tracker_real rate[3], tracker_real step,
                       int sign, const tracker_real psd[3])
 {
-    tracker_real omega[3], angle[3], phi[6][6], noise[6][6], speed, part;
-    struct powers powers;
+    tracker_real phi[6][6], noise[6][6], speed, part;
+    struct powers p;
     int parts = 1, k;
 
     for (k = 0; k < 3; k++)
-        omega[k] = scaled(rate[k], -TRACKER_ANGLE_BITS);
-    speed = tracker_length(omega);
+        p.omega[k] = scaled(rate[k], -TRACKER_ANGLE_BITS);
+    speed = tracker_real_root(tracker_square_sum(p.omega[0], p.omega[1], p.omega[2]));
     while (tracker_less(tracker_real_of(parts, 0), tracker_times(speed, step))) {
         parts *= 2;
         if (parts > MOST_PARTS)
@@ -198,12 +193,12 @@ int tracker_propagate(int32_t quaternion[4], tracker_real covariance[6][6], cons
     }
     part = tracker_over(step, tracker_real_of(parts, 0));
     for (k = 0; k < 3; k++)
-        angle[k] = tracker_times(rate[k], part);
-    make_powers(speed, part, &powers);
-    make_transition(omega, &powers, sign, psd, phi, noise);
+        p.angle[k] = tracker_times(rate[k], part);
+    make_powers(speed, part, &p);
+    make_transition(&p, sign, psd, phi, noise);
     for (k = 0; k < parts; k++) {
         transform(phi, covariance, noise);
-        tracker_turn_quaternion(quaternion, angle);
+        tracker_turn_quaternion(quaternion, p.angle);
     }
     return 1;
 }

@@ -28,7 +28,7 @@ void tracker_turn_quaternion(int32_t quaternion[4], const tracker_real angle[3])
 /* Rotation vector from one attitude to another, in the axes of the first one's frame. */
 void tracker_rotation_between(const int32_t first[4], const int32_t second[4], tracker_real vector[3]);
 
-/* Length of a vector. */
-tracker_real tracker_length(const tracker_real v[3]);
+/* x^2 + y^2 + z^2 */
+tracker_real tracker_square_sum(tracker_real x, tracker_real y, tracker_real z);
 
 #endif

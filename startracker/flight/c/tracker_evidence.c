@@ -8,6 +8,7 @@
 #define LOG_UP 24
 #define LOG_TWO_PI 10861
 #define SUM_STEP 6
+#define EXTENT_SHIFT 4
 #define CROWD_WIDTHS 8
 #define CROWD_BITS 30
 #define SCATTERS 2
@@ -58,7 +59,7 @@ int64_t tracker_log_sum_up(int64_t a, int64_t b)
     return high + tracker_search_sum[smaller(k - 1, TRACKER_SEARCH_SUMS - 1)] + 1;
 }
 
-/* Sum of the squared distances of the stars from their mean, divided by their number. */
+/* Sum of the squared distances of the stars from their mean, divided by their number, 2^-52. */
 static int64_t extent(const struct tracker_search *search)
 {
     int64_t sum = 0;
@@ -70,7 +71,7 @@ static int64_t extent(const struct tracker_search *search)
             mean += component(&search->direction[i], axis);
         mean = tracker_floor_quotient(mean, search->count);
         for (i = 0; i < search->count; i++) {
-            const int64_t off = component(&search->direction[i], axis) - mean;
+            const int64_t off = tracker_shift_right(component(&search->direction[i], axis) - mean, EXTENT_SHIFT);
             sum += off * off;
         }
     }
@@ -115,7 +116,7 @@ void tracker_crowding(struct tracker_search *search)
     extent2 = extent(search);
     if (extent2 < 1)
         return;
-    log_extent = tracker_log_down(extent2);
+    log_extent = tracker_log_down(extent2) + 2 * EXTENT_SHIFT * ONE;
     for (i = 0; i < n; i++)
         for (j = 0; j < i; j++)
             add_crowding(search, i, j, log_extent);

@@ -270,7 +270,7 @@ static void restart(struct tracker_following *f, const int32_t measured[4], trac
         alarm(f);
     f->innovations = 0;
     tracker_rotation_between(TRACKER_FOLLOWING_GYRO ? f->quaternion : f->solved, measured, away);
-    rate = tracker_over(tracker_length(away), tracker_over(tracker_real_of(step_us, 0), tracker_real_of(1000000, 0)));
+    rate = tracker_over(tracker_real_root(tracker_square_sum(away[0], away[1], away[2])), tracker_over(tracker_real_of(step_us, 0), tracker_real_of(1000000, 0)));
     begin(f, measured, noise, tracker_less(sigma, rate) ? rate : sigma);
     if (!TRACKER_FOLLOWING_GYRO)
         for (k = 0; k < 3; k++)

@@ -292,7 +292,7 @@ static int list_trails(struct tracker_front *front, struct tracker_star *list, i
         off[0] = (int64_t)object->xx - middle[0];
         off[1] = (int64_t)object->yy - middle[1];
         off[2] = (int64_t)object->xy - middle[2];
-        if (!is_trail(object) || 10 * tracker_largest(off, 3) > 3 * ((int64_t)middle[0] + middle[1]))
+        if (!is_trail(object) || 5 * tracker_largest(off, 3) > (int64_t)middle[0] + middle[1])
             continue;
         keep_object_star(object, trail_variance(object), TRACKER_ELONGATED, list, count);
         listed = 1;

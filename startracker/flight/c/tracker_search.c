@@ -4,7 +4,6 @@
 
 #include "tracker_integers.h"
 
-#define ONE ((int64_t)1 << 30)
 #define LOG_BITS 12
 #define LOG_UP 24
 #define STATED_VARIANCE 1475
@@ -12,38 +11,15 @@
 #define WORST_VARIANCE ((int64_t)25 << 16)
 #define MAGNITUDE_FACTOR 24660
 #define MAGNITUDE_SHIFT 21
-#define MOST_OTHERS 48
 #define LEAST_EVIDENCE (-29545)
 #define SURE_BEYOND 88640
 #define RIVALS_BEYOND 29547
 #define AS_STATED 3
 #define QUICK 2
 #define LOG_SIX_PI 17352
-#define MOST_RATIO ((int64_t)1 << 16)
-#define LARGEST_VARIANCE ((int64_t)1 << 42)
+#define MOST_VARIANCE ((int64_t)1 << 46)
 #define ONE_RADIAN ((int64_t)1 << 28)
-#define CANDIDATE_STEPS 30
-#define STAR_STEPS 60
 #define PRIOR_SIGMAS2 3969
-
-static void to_array(const struct tracker_vector *v, int64_t out[3])
-{
-    out[0] = v->x;
-    out[1] = v->y;
-    out[2] = v->z;
-}
-
-static void to_vector(const int64_t v[3], struct tracker_vector *out)
-{
-    out->x = (int32_t)v[0];
-    out->y = (int32_t)v[1];
-    out->z = (int32_t)v[2];
-}
-
-static int64_t smaller(int64_t a, int64_t b)
-{
-    return a < b ? a : b;
-}
 
 /* ------------------------------------------------------------------ the stars that are used */
 
@@ -62,7 +38,7 @@ static void take_stars(struct tracker_search *search, const struct tracker_star 
         k = search->count++;
         search->index[k] = (uint8_t)n;
         search->direction[k] = direction[n];
-        search->variance[k] = (stated * TRACKER_SEARCH_PIXEL2) >> 16;
+        search->variance[k] = tracker_smaller((stated * (TRACKER_SEARCH_PIXEL2 >> 4)) >> 12, MOST_VARIANCE);
         if (star[n].flux <= 0)
             search->brightness = 0;
         else
@@ -80,8 +56,8 @@ static void measure_sides(struct tracker_search *search)
     for (i = 0; i < search->count; i++)
         for (j = 0; j < i; j++) {
             int64_t p[3], q[3], square = 0;
-            to_array(&search->direction[i], p);
-            to_array(&search->direction[j], q);
+            tracker_to_array(&search->direction[i], p);
+            tracker_to_array(&search->direction[j], q);
             for (axis = 0; axis < 3; axis++)
                 square += (p[axis] - q[axis]) * (p[axis] - q[axis]);
             side = tracker_side_of(i, j);
@@ -99,8 +75,8 @@ static int64_t rotation2(const struct tracker_matrix *one, const struct tracker_
     int row, k;
 
     for (row = 0; row < 3; row++) {
-        to_array(&one->row[row], p);
-        to_array(&other->row[row], q);
+        tracker_to_array(&one->row[row], p);
+        tracker_to_array(&other->row[row], q);
         for (k = 0; k < 3; k++) {
             const int64_t apart = tracker_shift_right(p[k] - q[k], 2);
             sum += apart * apart;
@@ -178,169 +154,6 @@ static void verify(struct tracker_search *search, const struct tracker_matrix *s
 
 /* ------------------------------------------------------------------ candidates */
 
-/* Axes of a pair of directions: the midpoint, the difference, and the normal to both. */
-static int pair_frame(const int64_t p[3], const int64_t q[3], int64_t frame[3][3])
-{
-    int64_t largest;
-    int k;
-
-    for (k = 0; k < 3; k++) {
-        frame[0][k] = p[k] + q[k];
-        frame[1][k] = q[k] - p[k];
-    }
-    largest = tracker_largest(frame[1], 3);
-    if (largest == 0 || !tracker_unit(frame[0], 1 << 20))
-        return 0;
-    for (; largest < (int64_t)1 << 29; largest *= 2)
-        for (k = 0; k < 3; k++)
-            frame[1][k] *= 2;
-    if (!tracker_unit(frame[1], 1))
-        return 0;
-    tracker_cross(frame[0], frame[1], frame[2]);
-    return 1;
-}
-
-static void attitude_of(const int64_t seen[3][3], const int64_t known[3][3], struct tracker_matrix *attitude)
-{
-    int64_t row[3];
-    int i, j, k;
-
-    for (i = 0; i < 3; i++) {
-        for (j = 0; j < 3; j++) {
-            row[j] = 0;
-            for (k = 0; k < 3; k++)
-                row[j] += seen[k][i] * known[k][j];
-            row[j] = tracker_shift_right(row[j], 30);
-        }
-        to_vector(row, &attitude->row[i]);
-    }
-}
-
-static int64_t gate_of(int64_t variance, const int32_t *row)
-{
-    return (smaller(variance, LARGEST_VARIANCE) >> 8) * row[TRACKER_ROW_GATE2];
-}
-
-/* Whether a guide star can be where a star is, according to the prior. */
-static int fits_prior(const struct tracker_search *search, int star, int guide, const int32_t *row)
-{
-    const int64_t radius = search->prior.radius;
-    int64_t axis[3], direction[3], seen[3], square = 0;
-    int k;
-
-    if (radius == 0 || radius >= ONE_RADIAN)
-        return 1;
-    for (k = 0; k < 3; k++)
-        direction[k] = tracker_guide_direction[guide][k];
-    to_array(&search->direction[star], seen);
-    for (k = 0; k < 3; k++) {
-        int64_t apart;
-        to_array(&search->prior.attitude.row[k], axis);
-        apart = tracker_dot(axis, direction) - seen[k];
-        square += apart * apart;
-    }
-    return square <= 2 * (radius * 4) * (radius * 4) + 4 * gate_of(search->variance[star], row);
-}
-
-static int column_of(int64_t coordinate)
-{
-    const int64_t cell = tracker_shift_right(coordinate + ONE, TRACKER_SEARCH_COLUMN_SHIFT);
-
-    return cell < 0 ? 0 : cell >= TRACKER_SEARCH_COLUMNS ? TRACKER_SEARCH_COLUMNS - 1 : (int)cell;
-}
-
-/* Whether a guide star is near a direction in the sky. */
-static int guide_near(const int64_t sky[3], int64_t gate2)
-{
-    const int64_t reach = tracker_square_root(gate2) + 1;
-    int x, y, entry;
-
-    for (x = column_of(sky[0] - reach); x <= column_of(sky[0] + reach); x++)
-        for (y = column_of(sky[1] - reach); y <= column_of(sky[1] + reach); y++) {
-            const int column = x * TRACKER_SEARCH_COLUMNS + y;
-            for (entry = tracker_search_column_start[column]; entry < tracker_search_column_start[column + 1]; entry++) {
-                const int32_t *guide = tracker_guide_direction[tracker_search_column_star[entry]];
-                const int64_t dx = sky[0] - guide[0], dy = sky[1] - guide[1], dz = sky[2] - guide[2];
-                if (tracker_magnitude(dz) <= reach && dx * dx + dy * dy + dz * dz <= gate2)
-                    return 1;
-            }
-        }
-    return 0;
-}
-
-/* Fewest matches that occur by chance as rarely as a row of the table requires. */
-static int64_t least_matches(int64_t mean, int chance)
-{
-    int k;
-
-    for (k = 0; k < TRACKER_SEARCH_MOST_NEEDED; k++)
-        if (mean <= tracker_search_needed[chance][k])
-            break;
-    return k + 1;
-}
-
-/* Matches required of `count` other stars. */
-static int64_t needed_matches(int64_t gates, int count, const int32_t *row)
-{
-    const int64_t mean = (gates * TRACKER_SEARCH_GUIDES) >> 22;
-    int64_t need = least_matches(mean, row[TRACKER_ROW_CHANCE]), rare;
-
-    if (row[TRACKER_ROW_ENOUGH] > 0) {
-        rare = smaller(least_matches(mean, TRACKER_SEARCH_CHANCES - 1), row[TRACKER_ROW_ENOUGH]);
-        need = rare > need ? rare : need;
-    }
-    return smaller(need, count);
-}
-
-/* Square of the gate of one of the other stars, 2^-60 rad^2. */
-static int64_t gate_beside(const struct tracker_search *search, int star, int64_t shared, int64_t apart2,
-                           const int64_t frame[3][3], const int32_t *row)
-{
-    int64_t direction[3], y, z, ratio;
-
-    to_array(&search->direction[star], direction);
-    y = tracker_dot(frame[1], direction);
-    z = tracker_dot(frame[2], direction);
-    ratio = smaller(((y * y + z * z) >> 12) / apart2, MOST_RATIO);
-    return gate_of(search->variance[star] + (shared >> 2) + ((shared * ratio) >> 8), row);
-}
-
-static int is_among(int star, const int used[3])
-{
-    return star == used[0] || star == used[1] || star == used[2];
-}
-
-/* Whether enough of the other stars are near guide stars. */
-static int is_confirmed(struct tracker_search *search, const struct tracker_matrix *attitude, const int used[3],
-                        const int64_t frame[3][3], const int32_t *row)
-{
-    const int64_t shared = search->variance[used[0]] + search->variance[used[1]];
-    const int64_t chord = search->chord[tracker_side_of(used[0], used[1])];
-    const int64_t apart2 = chord * chord >> 20 > 1 ? chord * chord >> 20 : 1;
-    int64_t gate2[MOST_OTHERS], gates = 0, need, axes[3][3], direction[3], sky[3];
-    int count = 0, found = 0, star, at, k;
-
-    for (star = 0; star < search->count && count < MOST_OTHERS; star++)
-        if (!is_among(star, used)) {
-            gate2[count] = gate_beside(search, star, shared, apart2, frame, row);
-            gates += gate2[count++] >> 24;
-        }
-    search->steps += CANDIDATE_STEPS + STAR_STEPS * (int64_t)count;
-    need = needed_matches(gates, count, row);
-    for (k = 0; k < 3; k++)
-        to_array(&attitude->row[k], axes[k]);
-    for (star = at = 0; star < search->count && at < count && found < need; star++) {
-        if (is_among(star, used))
-            continue;
-        to_array(&search->direction[star], direction);
-        for (k = 0; k < 3; k++)
-            sky[k] = tracker_shift_right(
-                direction[0] * axes[0][k] + direction[1] * axes[1][k] + direction[2] * axes[2][k], 30);
-        found += guide_near(sky, gate2[at++]);
-    }
-    return found >= need;
-}
-
 static void try_candidate(struct tracker_search *search, int pole, const struct tracker_candidate *candidate,
                           const int32_t *row)
 {
@@ -349,23 +162,23 @@ static void try_candidate(struct tracker_search *search, int pole, const struct 
     struct tracker_matrix attitude;
     int k;
 
-    if (!fits_prior(search, pole, candidate->guide[0], row)
-        || !fits_prior(search, candidate->neighbour, candidate->guide[1], row))
+    if (!tracker_fits_prior(search, pole, candidate->guide[0], row)
+        || !tracker_fits_prior(search, candidate->neighbour, candidate->guide[1], row))
         return;
-    to_array(&search->direction[pole], p);
-    to_array(&search->direction[candidate->neighbour], q);
+    tracker_to_array(&search->direction[pole], p);
+    tracker_to_array(&search->direction[candidate->neighbour], q);
     for (k = 0; k < 3; k++) {
         u[k] = tracker_guide_direction[candidate->guide[0]][k];
         w[k] = tracker_guide_direction[candidate->guide[1]][k];
     }
-    if (!pair_frame(p, q, seen) || !pair_frame(u, w, known))
+    if (!tracker_pair_frame(p, q, seen) || !tracker_pair_frame(u, w, known))
         return;
-    attitude_of((const int64_t(*)[3])seen, (const int64_t(*)[3])known, &attitude);
-    square = gate_of(search->variance[0], row) >> 4;
+    tracker_attitude_of((const int64_t(*)[3])seen, (const int64_t(*)[3])known, &attitude);
+    square = tracker_gate_of(search->variance[0], row) >> 4;
     for (k = 0; k < search->kept; k++)
         if (rotation2(&attitude, &search->best[k].attitude) <= square)
             return;
-    if (is_confirmed(search, &attitude, used, (const int64_t(*)[3])seen, row))
+    if (tracker_is_confirmed(search, &attitude, used, (const int64_t(*)[3])seen, row))
         verify(search, &attitude, row[TRACKER_ROW_GATES]);
 }
 
@@ -423,7 +236,7 @@ static int run_searches(struct tracker_search *search, int count, struct tracker
     if (radius > 0) {
         search->gain = LOG_SIX_PI - 3 * (tracker_log_down(radius) + LOG_UP - (28 << LOG_BITS));
         search->gain = search->gain > 0 ? search->gain : 0;
-        radius = smaller(radius, ONE_RADIAN) * 4;
+        radius = tracker_smaller(radius, ONE_RADIAN) * 4;
         if (radius * radius <= PRIOR_SIGMAS2 * search->variance[0])
             verify(search, &search->prior.attitude, 0);
     }

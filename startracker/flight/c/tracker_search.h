@@ -112,6 +112,48 @@ void tracker_verify(struct tracker_search *search, const struct tracker_matrix *
 void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row, int64_t most);
 int tracker_side_of(int i, int j); /* number of a pair of different stars */
 
+/* tracker_confirm.c */
+/* Axes of a pair of directions: the midpoint, the difference, and the normal to both; 0: there are none. */
+int tracker_pair_frame(const int64_t p[3], const int64_t q[3], int64_t frame[3][3]);
+/* Attitude that takes the axes of a known pair to those of a seen one. */
+void tracker_attitude_of(const int64_t seen[3][3], const int64_t known[3][3], struct tracker_matrix *attitude);
+/* Square of the gate of a star with this variance, 2^-60 rad^2. */
+int64_t tracker_gate_of(int64_t variance, const int32_t *row);
+/* Whether a guide star can be where a star is, according to the prior. */
+int tracker_fits_prior(const struct tracker_search *search, int star, int guide, const int32_t *row);
+/* Whether enough of the stars other than three are near guide stars; `frame`: axes of the first two. Counts its steps. */
+int tracker_is_confirmed(struct tracker_search *search, const struct tracker_matrix *attitude, const int used[3],
+                         const int64_t frame[3][3], const int32_t *row);
+
+static inline void tracker_to_array(const struct tracker_vector *v, int64_t out[3])
+{
+    out[0] = v->x;
+    out[1] = v->y;
+    out[2] = v->z;
+}
+
+static inline void tracker_to_vector(const int64_t v[3], struct tracker_vector *out)
+{
+    out->x = (int32_t)v[0];
+    out->y = (int32_t)v[1];
+    out->z = (int32_t)v[2];
+}
+
+static inline int64_t tracker_smaller(int64_t a, int64_t b)
+{
+    return a < b ? a : b;
+}
+
+/* Column of the grid of a coordinate, 2.30. */
+static inline int tracker_column_of(int64_t coordinate)
+{
+    const int64_t shifted = coordinate + ((int64_t)1 << 30);
+
+    if (shifted < 0)
+        return 0;
+    return (int)tracker_smaller(shifted >> TRACKER_SEARCH_COLUMN_SHIFT, TRACKER_SEARCH_COLUMNS - 1);
+}
+
 /* Columns of tracker_search_row. */
 enum {
     TRACKER_ROW_POLES,

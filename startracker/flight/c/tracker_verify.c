@@ -17,20 +17,6 @@
 #define LEAST_DIVISOR 4096
 #define VERIFY_STEPS 500
 
-static void to_array(const struct tracker_vector *v, int64_t out[3])
-{
-    out[0] = v->x;
-    out[1] = v->y;
-    out[2] = v->z;
-}
-
-static void to_vector(const int64_t v[3], struct tracker_vector *out)
-{
-    out->x = (int32_t)v[0];
-    out->y = (int32_t)v[1];
-    out->z = (int32_t)v[2];
-}
-
 /* Components of a vector along three axes, each rounded down. */
 static void along(const int64_t axes[3][3], const int64_t v[3], int64_t out[3])
 {
@@ -78,13 +64,6 @@ static void insert(struct tracker_field *field, int guide, int most)
     field->depth++;
 }
 
-static int column_of(int64_t coordinate)
-{
-    const int64_t cell = tracker_shift_right(coordinate + ONE, TRACKER_SEARCH_COLUMN_SHIFT);
-
-    return cell < 0 ? 0 : cell >= TRACKER_SEARCH_COLUMNS ? TRACKER_SEARCH_COLUMNS - 1 : (int)cell;
-}
-
 /* The brightest `most` guide stars on the image at an attitude, with aberration. */
 static void find_field(struct tracker_search *search, const struct tracker_matrix *matrix, int most)
 {
@@ -94,7 +73,7 @@ static void find_field(struct tracker_search *search, const struct tracker_matri
     int i, j, k, x, y, entry;
 
     for (k = 0; k < 3; k++)
-        to_array(&matrix->row[k], rows[k]);
+        tracker_to_array(&matrix->row[k], rows[k]);
     for (i = 0; i < 3; i++)
         for (j = 0; j < 3; j++) {
             int64_t sum = 0;
@@ -103,9 +82,9 @@ static void find_field(struct tracker_search *search, const struct tracker_matri
             axes[i][j] = tracker_shift_right(sum, 30);
         }
     field->depth = 0;
-    for (x = column_of(axes[2][0] - TRACKER_SEARCH_FIELD_CHORD); x <= column_of(axes[2][0] + TRACKER_SEARCH_FIELD_CHORD); x++)
-        for (y = column_of(axes[2][1] - TRACKER_SEARCH_FIELD_CHORD);
-             y <= column_of(axes[2][1] + TRACKER_SEARCH_FIELD_CHORD); y++) {
+    for (x = tracker_column_of(axes[2][0] - TRACKER_SEARCH_FIELD_CHORD); x <= tracker_column_of(axes[2][0] + TRACKER_SEARCH_FIELD_CHORD); x++)
+        for (y = tracker_column_of(axes[2][1] - TRACKER_SEARCH_FIELD_CHORD);
+             y <= tracker_column_of(axes[2][1] + TRACKER_SEARCH_FIELD_CHORD); y++) {
             const int column = x * TRACKER_SEARCH_COLUMNS + y;
             for (entry = tracker_search_column_start[column]; entry < tracker_search_column_start[column + 1]; entry++) {
                 const int star = tracker_search_column_star[entry];
@@ -133,11 +112,11 @@ static void predict(struct tracker_field *field, const struct tracker_matrix *ma
     int k;
 
     for (k = 0; k < 3; k++)
-        to_array(&matrix->row[k], rows[k]);
+        tracker_to_array(&matrix->row[k], rows[k]);
     for (k = 0; k < field->depth; k++) {
-        to_array(&field->direction[k], direction);
+        tracker_to_array(&field->direction[k], direction);
         along((const int64_t(*)[3])rows, direction, seen);
-        to_vector(seen, &field->predicted[k]);
+        tracker_to_vector(seen, &field->predicted[k]);
     }
 }
 
@@ -194,8 +173,8 @@ static void add_star(const struct tracker_search *search, int star, struct norma
     int64_t p[3], e[3], turning[3];
     int i, j;
 
-    to_array(&search->field.predicted[search->field.rank[star]], p);
-    to_array(&search->direction[star], e);
+    tracker_to_array(&search->field.predicted[search->field.rank[star]], p);
+    tracker_to_array(&search->direction[star], e);
     for (i = 0; i < 3; i++)
         e[i] -= p[i];
     tracker_cross(p, e, turning);

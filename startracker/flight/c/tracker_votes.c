@@ -181,13 +181,6 @@ static void collect(const struct tracker_search *search, struct tracker_votes *v
     }
 }
 
-static void to_array(const struct tracker_vector *v, int64_t out[3])
-{
-    out[0] = v->x;
-    out[1] = v->y;
-    out[2] = v->z;
-}
-
 /* Twice the area of a spherical triangle, positive if counted about the outward normal, 2^-30. */
 static int64_t area(const int64_t p[3], const int64_t q[3], const int64_t r[3])
 {
@@ -224,9 +217,9 @@ static int agree(const struct tracker_search *search, int pole, int pole_guide, 
     }
     if (square < low * low || square > high * high)
         return 0;
-    to_array(&search->direction[pole], p);
-    to_array(&search->direction[k], q);
-    to_array(&search->direction[l], r);
+    tracker_to_array(&search->direction[pole], p);
+    tracker_to_array(&search->direction[k], q);
+    tracker_to_array(&search->direction[l], r);
     observed = area((const int64_t *)p, q, r);
     if (tracker_magnitude(observed) <= (allowed * chord) >> AREA_SHIFT)
         return 1;
