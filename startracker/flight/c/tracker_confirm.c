@@ -141,7 +141,7 @@ int tracker_is_confirmed(struct tracker_search *search, const struct tracker_mat
     const int64_t shared = search->variance[used[0]] + search->variance[used[1]];
     const int64_t chord = search->chord[tracker_side_of(used[0], used[1])];
     const int64_t apart2 = chord * chord >> 20 > 1 ? chord * chord >> 20 : 1;
-    int64_t gate2[MOST_OTHERS], gates = 0, need, axes[3][3], direction[3], sky[3];
+    int64_t gate2[MOST_OTHERS], gates = 0, need, axes[3][3], direction[3], sky[3] = {0, 0, 0};
     int count = 0, found = 0, star, at, k;
 
     for (star = 0; star < search->count && count < MOST_OTHERS; star++)
