@@ -42,7 +42,7 @@ class Amounts:
         return asdict(self)
 
 
-QUICK = Amounts(16, 400, 60, 16, 2, 20, 40, 8, 3000)
+QUICK = Amounts(6, 120, 30, 8, 2, 8, 16, 6, 1000)
 """For a first look."""
 FULL = Amounts(96, 3000, 800, 60, 5, 150, 300, 24, 10_000)
 """From 1,228 trials on, the 99.7th percentile has an upper limit."""
