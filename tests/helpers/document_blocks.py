@@ -101,6 +101,7 @@ def reduced(arguments: list[str]) -> list[str]:
     words = [word for word in arguments if not word.startswith("-")]
     name = " ".join(words[:2]) if words[:1] == ["study"] else words[0]
     name = "sequence" if "--sequence" in arguments else name
+    name = f"{name} --scenario" if name == "export-c" and "--scenario" in arguments else name  # has no fewer stars
     kept = list(arguments)
     for option, value in _LESS.get(name, {}).items():
         if option not in kept:
