@@ -20,7 +20,6 @@ _STYLE = "variableScope"
 
 _ACCEPTED = (
     ("_rows.c", "negativeIndex"),  # a pointer into the middle of a row, from which both sides are read
-    ("_fit.c", "knownConditionTrueFalse"),  # a limit that not every camera's constants reach
     ("_attitude_filter.c", "ctuArrayIndex"),  # a vector of three, passed by its first member
 )
 """Findings that are none, by the end of the file's name."""
