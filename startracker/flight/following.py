@@ -30,6 +30,7 @@ from startracker.flight.attitude_filter import (
     turned_quaternion,
 )
 from startracker.flight.directions import quaternion_of
+from startracker.flight.pose import COVARIANCE_BITS
 from startracker.flight.real import ONE, ZERO, Real
 from startracker.settings import TrackingSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
@@ -43,7 +44,7 @@ contradicted filter was increased; it contradicts the prediction and was not use
 a frame without an attitude: the filter only predicts."""
 RADIUS_BITS = 28
 """Fraction bits of the radius of a prior, radians."""
-PSD_BITS, LIMIT_BITS, COVARIANCE_BITS = 20, 16, 60
+PSD_BITS, LIMIT_BITS = 20, 16
 WINDOW = 32
 """Number of innovations that are monitored."""
 _FALSE_ALARM, _TOO_SMALL = 1e-3, 0.99

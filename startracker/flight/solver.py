@@ -15,7 +15,7 @@ from startracker.flight.design import FlightDesign
 from startracker.flight.directions import FASTEST, GridTables, plane_of, vectors_of
 from startracker.flight.evidence import sight
 from startracker.flight.front_end import FrontTables, front_tables, measure_frame
-from startracker.flight.pose import PoseTables, pose_tables, solve_pose
+from startracker.flight.pose import COVARIANCE_BITS, PoseTables, pose_tables, solve_pose
 from startracker.flight.search import FlightPrior, Found, Reason, identify
 from startracker.flight.search_tables import SearchTables, search_tables
 from startracker.flight.stars import StarList
@@ -88,7 +88,7 @@ class FlightAnswer(NamedTuple):
     @property
     def covariance_rad2(self) -> FloatArray:
         """Covariance (3, 3) of the rotation vector in camera axes, rad²."""
-        return np.asarray(self.covariance / float(1 << 60))
+        return np.asarray(self.covariance / float(1 << COVARIANCE_BITS))
 
     @property
     def log2_chance(self) -> float:

@@ -99,9 +99,7 @@ def compile_export(export: CExport, folder: Path, target: Target = HOST, extra: 
     missing = target.missing()
     if missing:
         raise InputError(f"{missing} is not installed; the exported C can be compiled elsewhere with its Makefile")
-    for name, text in export.files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text, encoding="utf-8")
+    write_sources(export, folder)
     graph = () if "clang" in target.compiler else ("-fcallgraph-info=su",)
     solver = [f"{export.prefix}_{module}" for module in ("tables", *export.modules)]
     objects = []
@@ -126,6 +124,13 @@ def compile_export(export: CExport, folder: Path, target: Target = HOST, extra: 
         deepest_stack([folder / f"{name}.ci" for name in solver]) if graph else 0,
         tuple(sorted({name for name in undefined if _HEAP.match(name)})),
     )
+
+
+def write_sources(export: CExport, folder: Path) -> None:
+    """Write the files of an export to an existing folder."""
+    for name, text in export.files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def _context_bytes(target: Target, main: str) -> int:

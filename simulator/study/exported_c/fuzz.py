@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from simulator.study.exported_c.build import command
+from simulator.study.exported_c.build import command, write_sources
 from startracker.errors import InputError
 from startracker.fixed_point.export_c import CExport
 
@@ -58,9 +58,7 @@ def build_fuzzer(export: CExport, harness: str, folder: Path) -> Path:
     missing = missing_fuzzer()
     if missing:
         raise InputError(missing)
-    for name, text in export.files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(text, encoding="utf-8")
+    write_sources(export, folder)
     (folder / "harness.c").write_text(harness, encoding="utf-8")
     sources = [str(folder / f"{export.prefix}_{module}.c") for module in ("tables", *export.modules)]
     program = folder / "fuzz"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from simulator.build import build_focal_plane
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.schema_sequence import SequenceSection
@@ -35,7 +34,7 @@ def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str
     """
     renderer = Renderer(scenario)
     tracker = build_tracker(scenario, renderer.camera)
-    psf = build_focal_plane(scenario).psfs.psf()
+    psf = renderer.focal_plane.psfs.psf()
     frame, _ = renderer.frame(0)
     # the observer without aberration, which the flight build applies itself
     epoch = Observer(frame.observer.epoch_jyear)

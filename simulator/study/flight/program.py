@@ -16,10 +16,10 @@ from startracker.attitude import Attitude
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import flight_export
+from startracker.flight.pose import COVARIANCE_BITS
 from startracker.flight.stars import StarList
 
 _ONE = 1 << 30
-_COVARIANCE_BITS = 60
 
 
 class ProgramAnswer(NamedTuple):
@@ -47,7 +47,7 @@ class ProgramAnswer(NamedTuple):
         """Covariance (3, 3), rad²; NaN unless solved."""
         if not self.covariance:
             return np.full((3, 3), np.nan)
-        return np.array(self.covariance, dtype=float).reshape(3, 3) / float(1 << _COVARIANCE_BITS)
+        return np.array(self.covariance, dtype=float).reshape(3, 3) / float(1 << COVARIANCE_BITS)
 
 
 def parse_answer(line: str) -> ProgramAnswer:
