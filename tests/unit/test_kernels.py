@@ -30,10 +30,13 @@ from startracker.kernels import clock, processor_clock
 from startracker.sorting import sort
 if sys.argv[1:] == ["command"]:
     progress.announce("solve")
-by_wall, by_clock, by_processor = time.perf_counter(), clock(), processor_clock()
+left_out_s = lambda: np.array([time.perf_counter() - clock(), time.process_time() - processor_clock()])
+before = left_out_s()
 sort(np.array([2.0, 1.0]))
-print(time.perf_counter() - by_wall, clock() - by_clock, processor_clock() - by_processor)
+print(*(left_out_s() - before))
 """
+# compiling `sort` takes 0.04 to 0.1 s, and two readings of one clock differ by some microseconds
+COMPILING_S = 0.01
 
 
 def run_on_terminal(cache: Path, *arguments: str) -> tuple[str, list[float]]:
@@ -58,13 +61,11 @@ def run_on_terminal(cache: Path, *arguments: str) -> tuple[str, list[float]]:
 
 
 def test_a_command_says_at_once_that_it_compiles_and_its_clock_leaves_that_out(tmp_path):
-    said, (wall_s, clock_s, processor_s) = run_on_terminal(tmp_path, "command")
+    said, left_out_s = run_on_terminal(tmp_path, "command")
     assert re.search(r"\r\x1b\[KCompiling kernels, once for this installation: 0 of \d+", said)
     assert "\n" not in said
     assert said.endswith("\r\x1b[K")  # the line is gone when the result comes
-    # the rest is the compiler's own start
-    assert clock_s < wall_s - 0.05
-    assert processor_s < wall_s - 0.05
+    assert min(left_out_s) > COMPILING_S
     assert run_on_terminal(tmp_path, "command")[0] == ""  # kept on disk
 
 
@@ -102,7 +103,7 @@ def test_of_two_processes_one_compiles_and_the_other_loads(tmp_path):
     said = [process.communicate(timeout=120)[0].split() for process in both]
     assert sorted(compiled for compiled, _, _ in said) == ["0", "1"]
     for _, wall_s, clock_s in said:  # waiting for the other process is no time of a solution either
-        assert float(clock_s) < float(wall_s) - 0.05
+        assert float(clock_s) < float(wall_s) - COMPILING_S
 
 
 def test_kernels_of_another_process_are_counted_as_well(monkeypatch):
