@@ -3,8 +3,8 @@
     python -m benchmarks.flight_fuzz [--seconds 600] [--jobs 2] [--what front stars ...] [--arithmetic fixed float]
                                      [--corpus DIR]
 
-The code is that of every camera; the constants are smaller, so that an execution is short and limits are reached: 40 × 32
-pixels, 12 stars, guide stars of two parts of the sky, searches of at most 600 steps. Executions are added up in
+The code is that of every camera; the constants are smaller, so that an execution is short and limits are reached: 40 by
+32 pixels, 12 stars, guide stars of two parts of the sky, searches of at most 600 steps. Executions are added up in
 ``executions.json`` of the corpus every minute, so that an interrupted run counts and the next one continues from its
 inputs; a change of the C code begins a new count. Exits with 1 if anything is found; the inputs are in ``findings``.
 """
@@ -28,7 +28,6 @@ import numpy as np
 from benchmarks.flight_fuzz_seeds import SEEDS
 from simulator.study.exported_c.fuzz import FuzzResult, build_fuzzers, run_fuzzer
 from startracker import Camera, DetectionSettings, StarTracker
-from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.export_c import CExport
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.export import Part, assemble, flight_parts
@@ -80,17 +79,15 @@ def fuzz_export(arithmetic: str) -> CExport:
 
 
 def _smaller(part: Part) -> Part:
-    """A part with the limits of `SMALLER` and the searches' steps, their last column, cut; the bound of all with them."""
+    """A part with the limits of `SMALLER`, and the steps of the searches, their last column, reduced with their bound."""
     constants = {name: min(value, SMALLER.get(name, value)) for name, value in part.constants.items()}
-    arrays = []
-    for table in part.arrays:
-        if table.name == "search_row":
-            rows = np.array(table.values)
-            rows[:, -1] = np.minimum(rows[:, -1], MOST_STEPS)
-            constants["SEARCH_MOST_STEPS"] -= 2 * int((table.values - rows).sum())
-            table = replace(table, values=rows)
-        arrays.append(table)
-    return part._replace(constants=constants, arrays=arrays)
+    arrays = {table.name: table for table in part.arrays}
+    if "search_row" in arrays:
+        rows = np.array(arrays["search_row"].values)
+        rows[:, -1] = np.minimum(rows[:, -1], MOST_STEPS)
+        constants["SEARCH_MOST_STEPS"] -= 2 * int((arrays["search_row"].values - rows).sum())
+        arrays["search_row"] = replace(arrays["search_row"], values=rows)
+    return part._replace(constants=constants, arrays=list(arrays.values()))
 
 
 class Tally(NamedTuple):

@@ -1,4 +1,4 @@
-"""Inputs from which the fuzzers of the flight build begin: the bytes that ``fuzz_fields.h`` and ``fuzz_pixels.h`` read."""
+"""First inputs of the flight build's fuzzers: the bytes that ``fuzz_fields.h`` and ``fuzz_pixels.h`` read."""
 
 from __future__ import annotations
 
@@ -52,13 +52,14 @@ def _sessions() -> list[bytes]:
 
 
 def _frames() -> list[bytes]:
-    """Fields with noise, still and moved, with hot pixels, saturated stars, bright columns and boxes; and raw pixels."""
+    """Fields with noise, still and moved, hot pixels, saturated stars, bright columns and boxes; raw pixels."""
     rng = np.random.default_rng(SEED + 2)
     made = []
     for number in range(NUMBER):
-        trail = _random(rng, 2) if number % 3 == 1 else bytes([number % 60, 3 * number % 80]) if number % 3 else bytes(2)
+        trail = (bytes(2), _random(rng, 2), bytes([number % 60, 3 * number % 80]))[number % 3]
         kind = (1, 1, 1, 9, 0, 15)[number % 6]
-        head = bytes([kind, *_random(rng, 2)]) + _two(200) + bytes([20, number % 7, 40, 80 + number, *trail, 3 + number % 9])
+        detector = [20, number % 7, 40, 80 + number, *trail, 3 + number % 9]
+        head = bytes([kind, *_random(rng, 2)]) + _two(200) + bytes(detector)
         groups = [
             bytes([what, *_random(rng, 4)]) + _two(int(rng.integers(50, 30000))) + bytes([number])
             for what in rng.choice([3, 3, 3, 4, 4, 0, 1, 2], number % 12)
