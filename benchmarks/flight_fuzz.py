@@ -79,7 +79,7 @@ def fuzz_export(arithmetic: str) -> CExport:
 
 
 def _smaller(part: Part) -> Part:
-    """A part with the limits of `SMALLER`, and the steps of the searches, their last column, reduced with their bound."""
+    """A part with the limits of `SMALLER`, and fewer steps of the searches, their last column."""
     constants = {name: min(value, SMALLER.get(name, value)) for name, value in part.constants.items()}
     arrays = {table.name: table for table in part.arrays}
     if "search_row" in arrays:
