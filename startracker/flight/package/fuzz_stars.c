@@ -117,6 +117,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     info.velocity.x = ((int8_t)data[4]) * 8192;
     info.velocity.y = ((int8_t)data[5]) * 8192;
     info.velocity.z = ((int8_t)data[6]) * 8192;
+    if (data[7] & 2)
+        info.epoch = TRACKER_EPOCH + of_two(data + 4) * 128;
     if (data[7] & 1) {
         for (k = 0; k < 3; k++)
             info.prior.attitude.row[k] = row_of(m[k]);
