@@ -48,6 +48,7 @@ _MANY, _LEAST_SCALE2 = 10, 41
 _GATE2 = 3505  # 3.7², 8 fraction bits
 _FREEDOM = 1477  # 1/(2 ln 2), the squared median of a Rayleigh distribution, of 11 fraction bits
 _NEAR = 1 << 20  # 16 px
+_LARGEST_COVARIANCE = 1 << COVARIANCE_BITS  # a square radian
 _LARGEST_RESIDUAL, _LARGEST_COLUMN, _LARGEST_VARIANCE = (1 << 19) - 1, (1 << 16) - 1, 1 << 42
 _LEAST_DETERMINANT = 1 << 31  # 1/2
 _LARGEST_UNKNOWN = 1 << 27  # of 2.30: 0.125
@@ -190,7 +191,7 @@ def solve_pose(
 
     Returns
     -------
-    Pose, or None if fewer than two stars are identified or they determine no attitude.
+    Pose, or None if fewer than two stars are identified or they determine no attitude to a radian.
     """
     seen = _Seen(stars, t)
     numbers, directions = _field(start, observer, t)
@@ -221,7 +222,10 @@ def solve_pose(
             break
         used = index
     assert found is not None
-    return Pose(matrix, quaternion_of(matrix), _covariance(found, t), np.where(last >= 0, numbers[last], -1))
+    covariance = _covariance(found, t)
+    if max(np.diag(covariance)) >= _LARGEST_COVARIANCE:
+        return None
+    return Pose(matrix, quaternion_of(matrix), covariance, np.where(last >= 0, numbers[last], -1))
 
 
 class _Seen:

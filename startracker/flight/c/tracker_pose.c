@@ -22,6 +22,7 @@
 #define COLUMN_ONE 16384
 #define DOWN (TRACKER_POSE_RADIUS_BITS + 2)
 #define COVARIANCE_BITS 60
+#define LARGEST_COVARIANCE ((int64_t)1 << 60) /* a square radian */
 
 static int32_t clipped(int64_t value, int32_t largest)
 {
@@ -334,6 +335,11 @@ static void correct(struct tracker_pose *pose)
     }
 }
 
+static int64_t covariance_of(const struct tracker_pose_fit *fit, int k, int j)
+{
+    return tracker_integer_of(tracker_times(tracker_times(fit->covariance[k][j], scale_of(k)), scale_of(j)), COVARIANCE_BITS);
+}
+
 int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *star, int count,
                        int16_t guide[TRACKER_MAX_STARS], const struct tracker_observer *observer,
                        struct tracker_matrix *attitude, int64_t covariance[3][3])
@@ -367,9 +373,11 @@ int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *sta
             pose->used[n] = pose->index[n];
     }
     for (k = 0; k < 3; k++)
+        if (covariance_of(&pose->fit, k, k) >= LARGEST_COVARIANCE)
+            return 0;
+    for (k = 0; k < 3; k++)
         for (j = 0; j <= k; j++)
-            covariance[k][j] = covariance[j][k] = tracker_integer_of(
-                tracker_times(tracker_times(pose->fit.covariance[k][j], scale_of(k)), scale_of(j)), COVARIANCE_BITS);
+            covariance[k][j] = covariance[j][k] = covariance_of(&pose->fit, k, j);
     for (n = 0; n < count; n++)
         guide[n] = pose->used[n] >= 0 ? (int16_t)pose->number[pose->used[n]] : (int16_t)-1;
     *attitude = fitted;
