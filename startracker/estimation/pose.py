@@ -286,7 +286,7 @@ def _fit_each_model(
             for j in range(2):
                 flat[i, j] = SYSTEMATIC[t] ** 2 * unit * shape[i, j]
         total, log_det = _weighted_sums(stars, columns, flat, normal, right)
-        rotation, _ = inverse(normal, 3)
+        rotation, log_rotation = inverse(normal, 3)
         for i in range(3):
             for j in range(3):
                 plain[t, i, j] = rotation[i, j]
@@ -299,7 +299,7 @@ def _fit_each_model(
             for k in range(3, size):
                 added[k, k] += 1.0 / prior_sigma[m, k] ** 2
                 log_prior -= 2.0 * math.log(prior_sigma[m, k])
-            covariance, log_normal = inverse(added, size)
+            covariance, log_normal = inverse(added, size) if size > 3 else (rotation, log_rotation)
             if not math.isfinite(log_normal):
                 continue
             chi2 = total
