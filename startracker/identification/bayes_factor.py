@@ -44,6 +44,8 @@ WEIGHINGS = len(SCALES) + 3 * len(SCATTERS_MAG)
 """Times that `log_bayes_factor` goes through all depths and matches."""
 _SAMPLE = 24
 _USUAL_STARS = 250
+_ROUNDING = 1e-6
+"""More than the rounding errors of ln B."""
 _LOST = -37.0
 """e^−37 is less than half the last digit of a number from 1 on, to which adding it changes nothing."""
 _LOG_SPHERE_OF_ROTATIONS = math.log(8.0 * math.pi**2)
@@ -258,6 +260,17 @@ def _log_volume(information: FloatArray, scale: float, focal_sigma: float) -> fl
 
 
 @kernel
+def _most_gained(matched: Matched, seen: IntArray, scale: float, other: float) -> float:
+    """Most by which `_log_matches` without magnitudes can grow from errors of `scale` to `other` times the stated ones:
+    the sum over the stars whose density there is larger."""
+    total, wider = 0.0, 2.0 * math.log(other / scale)
+    for star in seen:
+        square = 0.5 * (matched.distance[star] / matched.sigma[star]) ** 2
+        total += max(square / scale**2 - square / other**2 - wider, 0.0)
+    return total
+
+
+@kernel
 def _log_matches(
     matched: Matched, seen: IntArray, area: float, scale: float, scatter: int, in_field: int, counts: CountTable
 ) -> float:
@@ -311,6 +324,10 @@ def log_bayes_factor(
     volumes, best, highest = np.empty(len(SCALES)), 0, -math.inf
     for s in range(len(SCALES)):
         volumes[s] = _log_volume(information, SCALES[s], focal_sigma) + SCALE_LOG_PRIOR[s]
+        # no match can gain more than the sum of what each gains alone: most of the larger widths need no more
+        gain = volumes[s] - volumes[best] + _most_gained(matched, seen, SCALES[best], SCALES[s])
+        if s > 0 and gain < -_ROUNDING:
+            continue
         value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
         if value > highest:
             best, highest = s, value
