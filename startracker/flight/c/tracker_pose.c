@@ -96,7 +96,8 @@ static void take_stars(struct tracker_pose *pose, const struct tracker_star *sta
     }
 }
 
-static void find_field(struct tracker_pose *pose, const struct tracker_matrix *attitude, const struct tracker_vector *velocity)
+static void find_field(struct tracker_pose *pose, const struct tracker_matrix *attitude,
+                       const struct tracker_observer *observer)
 {
     const int64_t axis[3] = {attitude->row[2].x, attitude->row[2].y, attitude->row[2].z};
     struct tracker_vector direction;
@@ -116,10 +117,7 @@ static void find_field(struct tracker_pose *pose, const struct tracker_matrix *a
             || tracker_magnitude(plane[1]) > (int64_t)TRACKER_GRID_HALF_V + TRACKER_POSE_MARGIN)
             continue;
         pose->number[pose->in_field] = (uint16_t)guide;
-        if (velocity->x != 0 || velocity->y != 0 || velocity->z != 0)
-            tracker_aberrate(&direction, velocity, &pose->direction[pose->in_field]);
-        else
-            pose->direction[pose->in_field] = direction;
+        tracker_apparent(at, tracker_guide_motion[guide], observer, &pose->direction[pose->in_field]);
         pose->in_field++;
     }
 }
@@ -343,14 +341,14 @@ static int64_t covariance_of(const struct tracker_pose_fit *fit, int k, int j)
 }
 
 int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *star, int count,
-                       int16_t guide[TRACKER_MAX_STARS], const struct tracker_vector *velocity,
+                       int16_t guide[TRACKER_MAX_STARS], const struct tracker_observer *observer,
                        struct tracker_matrix *attitude, int64_t covariance[3][3])
 {
     struct tracker_matrix fitted = *attitude;
     int n, k, j, round, fewest;
 
     take_stars(pose, star, count);
-    find_field(pose, attitude, velocity);
+    find_field(pose, attitude, observer);
     for (n = 0; n < count; n++) {
         pose->used[n] = -1;
         for (k = 0; k < pose->in_field; k++)

@@ -19,6 +19,7 @@ struct field {
 /* A list, and what is known of it. */
 struct list {
     struct tracker_frame_info info;
+    struct tracker_observer observer; /* the same, as the stages take it */
     struct tracker_matrix attitude;
     struct tracker_star star[TRACKER_MAX_STARS];
     int16_t guide[TRACKER_MAX_STARS]; /* of each star: the one that was moved, or -1 */
@@ -107,7 +108,7 @@ static inline void make_star(struct list *list, const uint8_t *bytes, const stru
     list->count++;
 }
 
-/* A list from bytes: guide star and roll of the attitude, velocity, prior, then the stars. The bytes used. */
+/* A list from bytes: guide star and roll of the attitude, velocity, epoch, prior, then the stars. The bytes used. */
 static inline size_t make_list(struct list *list, const uint8_t *data, size_t size, int most)
 {
     struct field field;
@@ -121,6 +122,11 @@ static inline size_t make_list(struct list *list, const uint8_t *data, size_t si
     list->info.velocity.x = ((int8_t)data[4]) * 8192;
     list->info.velocity.y = ((int8_t)data[5]) * 8192;
     list->info.velocity.z = ((int8_t)data[6]) * 8192;
+    list->observer.velocity = list->info.velocity;
+    if (data[11] & 128) { /* up to 64 years either way */
+        list->observer.years = ((int32_t)of_two(data + 4) - 32768) * 128;
+        list->info.epoch = TRACKER_EPOCH + list->observer.years;
+    }
     if (data[7] & 1) {
         list->info.prior.attitude = list->attitude;
         list->info.prior.radius = of_two(data + 8) << (data[7] / 8 % 16);

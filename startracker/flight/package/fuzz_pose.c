@@ -37,7 +37,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         return 0;
     if (data[7] & 4)
         misidentify(list, data[11] % TRACKER_MAX_STARS, (int16_t)(of_two(data + 10) % TRACKER_SEARCH_GUIDES));
-    used = tracker_solve_pose(pose, list->star, list->count, list->guide, &list->info.velocity, &attitude, covariance);
+    used = tracker_solve_pose(pose, list->star, list->count, list->guide, &list->observer, &attitude, covariance);
     require(used == 0 || (used >= 2 && used <= list->count));
     if (used == 0)
         return 0;

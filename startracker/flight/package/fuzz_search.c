@@ -25,7 +25,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         if (seen[k])
             check_product(&direction[k], &direction[k], 1 << 30);
     }
-    tracker_identify(search, &list->info, list->star, direction, seen, list->count, found);
+    tracker_identify(search, &list->observer, &list->info.prior, list->star, direction, seen, list->count, found);
     require(found->reason <= TRACKER_STEPS_USED_UP && found->steps >= 0 && found->steps <= TRACKER_SEARCH_MOST_STEPS);
     require(found->best.matched >= 0 && found->best.matched <= list->count);
     if (found->best.matched > 0) {
