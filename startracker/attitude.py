@@ -292,9 +292,8 @@ def _is_rotation(matrix: FloatArray) -> bool:
     one, two, three = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i
     square = abs(one - 1.0) <= 1.1e-5 and abs(two - 1.0) <= 1.1e-5 and abs(three - 1.0) <= 1.1e-5
     slants = abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i)
-    return bool(
-        square and max(slants) <= 1e-6 and a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0.0
-    )
+    determinant = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+    return bool(square and max(slants) <= 1e-6 and determinant > 0.0)
 
 
 def _right_ascension(x: float, y: float) -> float:

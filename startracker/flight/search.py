@@ -13,6 +13,7 @@ import numpy as np
 
 from startracker.arrays import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
+from startracker.flight.apparent import FlightObserver
 from startracker.flight.evidence import LOG_UP, Sight, log_down, log_sum_up
 from startracker.flight.integers import cross, normalized
 from startracker.flight.search_plan import QUICK, SEARCHES, Search
@@ -179,7 +180,7 @@ def _has_unit_rows(matrix: IntArray) -> bool:
     return bool((np.abs(((matrix * matrix).sum(axis=1) >> 30) - _ONE) <= _UNIT_TOLERANCE).all())
 
 
-def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables) -> Found:
+def identify(seen: Sight, stars: int, observer: FlightObserver, prior: FlightPrior | None, t: SearchTables) -> Found:
     """Identify observed stars, lost in space or around a prior.
 
     Parameters
@@ -187,8 +188,7 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
     seen : Sight
     stars : int
         In the list.
-    velocity : (3,)
-        Of the observer over that of light, 2.30.
+    observer : FlightObserver
     prior : FlightPrior, optional
         Ignored if its rows are not unit vectors, or its radius is 0.
     t : SearchTables
@@ -200,11 +200,11 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
         return Found(Reason.FEW_FOUND, *nothing)
     sides = separations(seen)
     if prior is None or prior.radius == 0 or not _has_unit_rows(prior.matrix):
-        return _searched(seen, sides, stars, velocity, None, t)[0]
-    found, sure = _searched(seen, sides, stars, velocity, prior, t)
+        return _searched(seen, sides, stars, observer, None, t)[0]
+    found, sure = _searched(seen, sides, stars, observer, prior, t)
     if sure:
         return found
-    elsewhere, _ = _searched(seen, sides, stars, velocity, None, t)
+    elsewhere, _ = _searched(seen, sides, stars, observer, None, t)
     steps = found.steps + elsewhere.steps
     better = found.reason is not Reason.ACCEPTED or elsewhere.chance < found.chance
     if elsewhere.reason is Reason.ACCEPTED and better:
@@ -214,11 +214,11 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
 
 
 def _searched(
-    seen: Sight, sides: Stars, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables
+    seen: Sight, sides: Stars, stars: int, observer: FlightObserver, prior: FlightPrior | None, t: SearchTables
 ) -> tuple[Found, bool]:
     """Result of all searches under one prior, and whether it is beyond doubt within it."""
     pool = Pool(len(seen), prior, t)
-    work = _Work(pool, seen, sides, velocity, t)
+    work = _Work(pool, seen, sides, observer, t)
     if prior is not None:
         work.check_prior(prior)
     for number, search in enumerate(SEARCHES):
@@ -242,8 +242,8 @@ def _searched(
 class _Work:
     """Searches of one identification: candidates, confirmed and verified, into the pool."""
 
-    def __init__(self, pool: Pool, seen: Sight, sides: Stars, velocity: IntArray, t: SearchTables) -> None:
-        self.pool, self.seen, self.sides, self.velocity, self.tables = pool, seen, sides, velocity, t
+    def __init__(self, pool: Pool, seen: Sight, sides: Stars, observer: FlightObserver, t: SearchTables) -> None:
+        self.pool, self.seen, self.sides, self.observer, self.tables = pool, seen, sides, observer, t
         self.steps = 0
 
     def check_prior(self, prior: FlightPrior) -> None:
@@ -329,7 +329,7 @@ class _Work:
         return square <= 2 * (prior.radius << 2) ** 2 + 4 * gate2  # (a + b)² ≤ 2 a² + 2 b²
 
     def _verify(self, matrix: IntArray, gates: int) -> None:
-        found = verify(matrix, gates, self.seen, self.velocity, self.tables)
+        found = verify(matrix, gates, self.seen, self.observer, self.tables)
         self.steps += found.steps
         self.pool.add(found)
 

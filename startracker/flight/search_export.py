@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from startracker.fixed_point.c_table import CTable
-from startracker.flight import search, search_plan, search_tables, verifying, votes
+from startracker.flight import apparent, search, search_plan, search_tables, verifying, votes
 from startracker.flight.search_tables import SearchTables
 
 SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "confirm", "search")
@@ -14,6 +14,8 @@ SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "conf
 def search_constants(t: SearchTables) -> dict[str, int]:
     """Numbers of the header by name, without the prefix."""
     return {
+        "EPOCH": t.epoch,
+        "MOST_YEARS": apparent.MOST_YEARS,
         "SEARCH_GUIDES": len(t.guide),
         "SEARCH_PAIRS": len(t.first),
         "SEARCH_BINS": len(t.bin_start) - 1,
@@ -77,6 +79,7 @@ def search_arrays(t: SearchTables) -> list[CTable]:
         gates[row, : len(steps)] = steps
     named = [
         ("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", t.guide),
+        ("int16_t", "guide_motion", "their proper motions a Julian year, unit vectors of 29 fraction bits", t.motion),
         ("int16_t", "guide_magnitude", "their V, 6 fraction bits", t.magnitude),
         ("int32_t", "guide_number", "their catalogue numbers", t.number),
         ("uint16_t", "first", "guide stars of the pairs, by bins of their chords", t.first),
