@@ -16,7 +16,7 @@ from startracker import Camera, StarTracker
 from startracker.distortion import Distortion
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.export import flight_export
-from startracker.flight.search import FlightPrior
+from startracker.flight.hypotheses import FlightPrior
 from startracker.flight.solver import FlightTracker
 from startracker.flight.stars import StarList
 

@@ -84,7 +84,10 @@ def test_two_stages_cannot_define_the_same(design):
         (("--scenario", "tc211", "--size", "9x9"), "--size: has no effect with --scenario"),
         (("--scenario", "tc211", "--arithmetic", "double"), "arithmetic must be fixed or float"),
         (("--scenario", "tc211", "--identifier", "pyramid"), "identifier must be adaptive or triads"),
-        (("--scenario", "tc211", "--identifier", "triads"), "--identifier: the flight build has adaptive alone"),
+        (
+            ("--scenario", "xybion", "--set", "tracker.identification.max_stars=30"),
+            "identifier triads: set tracker.identification.max_stars to 3 to 24",
+        ),
         (("--scenario", "tc211", "--prefix", "9a"), "--prefix"),
         (("--scenario", "tc211", "--set", "optics.apertur_mm=3"), "optics.aperture_mm"),
         (("--arithmetic", "float"), "--arithmetic: has no effect without --scenario"),
