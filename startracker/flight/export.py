@@ -97,6 +97,7 @@ def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: st
         for item in _folder("startracker.flight", "package").iterdir()
         if item.is_file()
     }
+    headers["tracker.h"] = _filled(headers["tracker.h"], words)
     texts = {**sources, **headers, **tables, **package, "test_data.h": tests}
     texts = {prefixed(name, prefix): prefixed(_licensed(name, text), prefix) for name, text in sorted(texts.items())}
     return CExport(prefix, texts, {table.name: table.bytes for table in arrays}, modules)
