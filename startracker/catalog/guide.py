@@ -26,6 +26,7 @@ from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.observer import Observer
+from startracker.records import changed
 from startracker.settings import IdentificationSettings
 
 RESOLVED_PX = 2.0
@@ -153,12 +154,12 @@ class GuideDatabase:
         if observer is None:
             return self
         years = observer.epoch_jyear - self.catalog.epoch_jyear
-        position = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
-        velocity = np.zeros(3) if observer.velocity_km_s is None else np.asarray(observer.velocity_km_s, dtype=float)
+        position = np.zeros(3) if observer.position_au is None else observer.position_au
+        velocity = np.zeros(3) if observer.velocity_km_s is None else observer.velocity_km_s
         parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
         start, motion = self._space_motion()
         directions = apparent_directions(start, motion, parallax, years, position, beta)
-        return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
+        return changed(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
     def rows_of(self, catalog_id: IntArray) -> IntArray:
         """Rows (M,) of stars by their numbers in the catalogue, which must be guide stars."""

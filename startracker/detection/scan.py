@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from startracker.arrays import IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 _LINE = 16
 """Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
@@ -43,7 +43,7 @@ UNFILTERED = kernel_half(np.ones(1))
 """The filter that changes nothing."""
 
 
-@kernel
+@kernel_part
 def _residual_row(image: Image, level: Plane, y: int, work: FloatImage, out: np.uint64) -> None:
     """Image minus level; zero where the image is not finite."""
     share, lines, row, cell = level.share[y], level.lines, np.uint64(y), np.uint64(level.cell[y])
@@ -53,7 +53,7 @@ def _residual_row(image: Image, level: Plane, y: int, work: FloatImage, out: np.
         work[out + x] = signal if is_value(image[row, x]) else zero
 
 
-@kernel
+@kernel_part
 def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint64, width: int) -> None:
     """Correlation along x of a row that has zeros on both sides."""
     before, weight = row, half[0]
@@ -66,7 +66,7 @@ def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint
         before, weight = out, np.float32(1.0)
 
 
-@kernel
+@kernel_part
 def _filter_columns(
     work: FloatImage, rows: Places, half: FloatImage, out: np.uint64, least: np.uint64, marks: NDArray[np.uint8],
     width: int,
@@ -84,7 +84,7 @@ def _filter_columns(
         before, weight = out, np.float32(1.0)
 
 
-@kernel
+@kernel_part
 def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64) -> None:
     """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond."""
     share, lines, cell = noise.share[y], noise.lines, np.uint64(noise.cell[y])
@@ -96,7 +96,7 @@ def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out:
         work[out + x] = threshold * value * less
 
 
-@kernel
+@kernel_part
 def _sample_row(
     work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, columns: tuple[int, int],
     sample: FloatImage, count: int,
@@ -216,7 +216,7 @@ def _search(
     return count, samples
 
 
-@kernel
+@kernel_part
 def _collect_marked(
     words: Places, work: FloatImage, total: np.uint64, row: int, groups: Places, found: FloatImage, count: int
 ) -> int:

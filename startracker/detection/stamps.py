@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part
 
 FloatImage = NDArray[np.float32]
 
@@ -17,7 +17,7 @@ def stamp_pitch(half: FloatImage, radius: int) -> int:
     return 2 * (radius + len(half)) - 1
 
 
-@kernel
+@kernel_part
 def filter_stamp(
     image: Image, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, work: FloatImage, out: FloatImage
 ) -> None:

@@ -185,7 +185,7 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose
             return pose
 
 
-@kernel
+@kernel_part
 def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) -> FloatArray:
     """T (2, 2) of trace 2, in which the systematic error has the covariance τ² T.
 
@@ -234,7 +234,7 @@ def _fit_models(
     return pose
 
 
-@kernel
+@kernel_part
 def _weighted_sums(
     stars: Linearised, columns: FloatArray, systematic: FloatArray, normal: FloatArray, right: FloatArray
 ) -> tuple[float, float]:
@@ -258,7 +258,7 @@ def _weighted_sums(
     return total, log_det
 
 
-@kernel
+@kernel_part
 def _fit_each_model(
     stars: Linearised,
     columns: FloatArray,
@@ -320,7 +320,7 @@ def _fit_each_model(
     return weight, scale, mean, every, plain
 
 
-@kernel
+@kernel_part
 def _averaged(
     weight: FloatArray,
     scale: FloatArray,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
+from startracker.flight.apparent import FlightObserver
 from startracker.flight.evidence import LOG_UP, Sight, log_down, log_sum_up
 from startracker.flight.integers import cross, normalized
 from startracker.flight.search_plan import Search
@@ -145,8 +146,8 @@ def _rotation2(one: IntArray, other: IntArray) -> int:
 class Work(ABC):
     """One identification: what is known of the stars, the hypotheses so far, and the steps done."""
 
-    def __init__(self, pool: Pool, seen: Sight, sides: Stars, velocity: IntArray, t: SearchTables) -> None:
-        self.pool, self.seen, self.sides, self.velocity, self.tables = pool, seen, sides, velocity, t
+    def __init__(self, pool: Pool, seen: Sight, sides: Stars, observer: FlightObserver, t: SearchTables) -> None:
+        self.pool, self.seen, self.sides, self.observer, self.tables = pool, seen, sides, observer, t
         self.steps = 0
 
     @abstractmethod
@@ -174,7 +175,7 @@ class Work(ABC):
 
     def verify(self, matrix: IntArray, gates: int) -> None:
         """Verify an attitude from a row of gates on, and add it."""
-        found = verify(matrix, gates, self.seen, self.velocity, self.tables)
+        found = verify(matrix, gates, self.seen, self.observer, self.tables)
         self.steps += found.steps
         self.pool.add(found)
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import IntArray
+from startracker.flight.apparent import FlightObserver
 from startracker.flight.candidates import CandidateWork
 from startracker.flight.evidence import Sight
 from startracker.flight.hypotheses import SURE_BEYOND, FlightPrior, Pool, Reason, Work
@@ -59,7 +60,7 @@ def _has_unit_rows(matrix: IntArray) -> bool:
     return bool((np.abs(((matrix * matrix).sum(axis=1) >> 30) - _ONE) <= _UNIT_TOLERANCE).all())
 
 
-def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables) -> Found:
+def identify(seen: Sight, stars: int, observer: FlightObserver, prior: FlightPrior | None, t: SearchTables) -> Found:
     """Identify observed stars, lost in space or around a prior.
 
     Parameters
@@ -67,8 +68,7 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
     seen : Sight
     stars : int
         In the list.
-    velocity : (3,)
-        Of the observer over that of light, 2.30.
+    observer : FlightObserver
     prior : FlightPrior, optional
         Ignored if its rows are not unit vectors, or its radius is 0.
     t : SearchTables
@@ -80,11 +80,11 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
         return Found(Reason.FEW_FOUND, *nothing)
     sides = separations(seen, t)
     if prior is None or prior.radius == 0 or not _has_unit_rows(prior.matrix):
-        return _searched(seen, sides, stars, velocity, None, t)[0]
-    found, sure = _searched(seen, sides, stars, velocity, prior, t)
+        return _searched(seen, sides, stars, observer, None, t)[0]
+    found, sure = _searched(seen, sides, stars, observer, prior, t)
     if sure:
         return found
-    elsewhere, _ = _searched(seen, sides, stars, velocity, None, t)
+    elsewhere, _ = _searched(seen, sides, stars, observer, None, t)
     steps = found.steps + elsewhere.steps
     better = found.reason is not Reason.ACCEPTED or elsewhere.chance < found.chance
     if elsewhere.reason is Reason.ACCEPTED and better:
@@ -94,11 +94,11 @@ def identify(seen: Sight, stars: int, velocity: IntArray, prior: FlightPrior | N
 
 
 def _searched(
-    seen: Sight, sides: Stars, stars: int, velocity: IntArray, prior: FlightPrior | None, t: SearchTables
+    seen: Sight, sides: Stars, stars: int, observer: FlightObserver, prior: FlightPrior | None, t: SearchTables
 ) -> tuple[Found, bool]:
     """Result of all searches under one prior, and whether it is beyond doubt within it."""
     pool = Pool(len(seen), prior, t)
-    work = SOURCES[t.identifier](pool, seen, sides, velocity, t)
+    work = SOURCES[t.identifier](pool, seen, sides, observer, t)
     if prior is not None:
         work.check_prior(prior)
     for number, search in enumerate(t.searches):

@@ -7,6 +7,7 @@ import numpy as np
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.cordic import STEPS_DEG
 from startracker.flight import (
+    apparent,
     candidates,
     hypotheses,
     search_plan,
@@ -31,6 +32,8 @@ def search_modules(t: SearchTables) -> tuple[str, ...]:
 def search_constants(t: SearchTables) -> dict[str, int]:
     """Numbers of the header by name, without the prefix."""
     return {
+        "EPOCH": t.epoch,
+        "MOST_YEARS": apparent.MOST_YEARS,
         **(_adaptive_constants(t) if t.triads is None else _triad_constants(t.triads)),
         "SEARCH_GUIDES": len(t.guide),
         "SEARCH_PAIRS": len(t.first),
@@ -118,6 +121,7 @@ def search_arrays(t: SearchTables) -> list[CTable]:
         gates[row, : len(steps)] = steps
     named = [
         ("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", t.guide),
+        ("int16_t", "guide_motion", "their proper motions a Julian year, unit vectors of 29 fraction bits", t.motion),
         ("int16_t", "guide_magnitude", "their V, 6 fraction bits", t.magnitude),
         ("int32_t", "guide_number", "their catalogue numbers", t.number),
         ("uint16_t", "first", "guide stars of the pairs, by bins of their chords", t.first),

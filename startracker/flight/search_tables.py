@@ -19,6 +19,7 @@ from startracker.catalog.guide import GuideDatabase, brightest_everywhere
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS
 from startracker.fixed_point.vectors import DIRECTION
+from startracker.flight.apparent import epoch_of, guide_motion
 from startracker.flight.design import FlightDesign
 from startracker.flight.search_plan import QUICK, SEARCHES, Search, triad_searches
 from startracker.flight.triad_numbers import TriadNumbers, triad_numbers
@@ -76,6 +77,10 @@ class SearchTables(NamedTuple):
     """Square of a pixel's angle, 2⁻⁶⁰ rad²."""
     guide: IntArray
     """Directions (G, 3), brightest first."""
+    motion: IntArray
+    """Proper motions (G, 3) a year, unit vectors of 29 fraction bits."""
+    epoch: int
+    """Julian epoch of the directions, years of 16 fraction bits."""
     magnitude: IntArray
     """V (G,), 6 fraction bits."""
     number: IntArray
@@ -176,6 +181,8 @@ def search_tables(design: FlightDesign) -> SearchTables:
         max(settings.min_stars, 3),
         round((design.camera.pixel_rad * (1 << DIRECTION_BITS)) ** 2),
         directions,
+        guide_motion(guide),
+        epoch_of(guide.epoch_jyear),
         np.rint(guide.v_mag * (1 << MAGNITUDE_BITS)).astype(np.int64),
         np.asarray(guide.catalog.id, dtype=np.int64),
         *_pairs(guide, directions, triads),

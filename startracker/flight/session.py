@@ -46,13 +46,19 @@ class FlightSession:
         self.tracker, self.following = tracker, Following(tables)
 
     def update_stars(
-        self, stars: StarList, time_us: int, *, velocity: ArrayLike | None = None, gyro: Sequence[int] | None = None
+        self,
+        stars: StarList,
+        time_us: int,
+        *,
+        velocity: ArrayLike | None = None,
+        epoch: int | None = None,
+        gyro: Sequence[int] | None = None,
     ) -> Followed:
         """Attitude of a list of stars measured at a time.
 
         Parameters
         ----------
-        stars, velocity
+        stars, velocity, epoch
             As in `FlightTracker.solve_stars`.
         time_us : int
             Middle of the exposure, microseconds of a uniform clock.
@@ -64,7 +70,7 @@ class FlightSession:
             return Followed(time, COASTING, None)
         matrix, radius = self.following.prior()
         prior = FlightPrior(matrix, radius) if radius else None
-        answer = self.tracker.solve_stars(stars, velocity=velocity, prior=prior)
+        answer = self.tracker.solve_stars(stars, velocity=velocity, epoch=epoch, prior=prior)
         if not answer.solved:
             return Followed(time, COASTING, answer)
         result = self.following.update(answer.matrix, answer.covariance)

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import log_determinant
 from startracker.sorting import median, order_of
 
@@ -57,7 +57,7 @@ def largest_density(n: int) -> float:
     return max(0.2 / max(n, 3), 0.012)
 
 
-@kernel
+@kernel_part
 def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: FloatArray) -> FloatArray:
     """Logarithms (scatters, N) of how much better each star's magnitude fits its guide star than any of the field.
 
@@ -176,7 +176,7 @@ _usual_table = lru_cache(maxsize=128)(_count_table)
 _large_table = lru_cache(maxsize=4)(_count_table)  # megabytes each
 
 
-@kernel
+@kernel_part
 def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: CountTable) -> float:
     """ln of the likelihood ratio of the matches, averaged over the depth of the image and the stars that are missing.
 
@@ -231,7 +231,7 @@ class Matched(NamedTuple):
     log_ratio: FloatArray
 
 
-@kernel
+@kernel_part
 def _log_volume(information: FloatArray, scale: float, focal_sigma: float) -> float:
     """ln of the share of all attitudes (and focal lengths) that fit, with errors of `scale` times the stated ones."""
     unknowns = information.shape[0]
@@ -267,7 +267,7 @@ def _log_matches(
     return value
 
 
-@kernel
+@kernel_part
 def log_bayes_factor(
     matched: Matched, information: FloatArray, in_field: int, area: float, focal_sigma: float, counts: CountTable
 ) -> tuple[float, float]:

@@ -99,9 +99,10 @@ def test_priors_and_velocities_bit_for_bit(build, tracker, star_tracker):
         radius = round(min(1.5 * float(np.linalg.norm(turn)), math.pi) * (1 << 28)) + 1
         velocity = np.rint(rng.normal(size=3) * 6e4).astype(np.int64)
         prior = " ".join(map(str, [*matrix.ravel(), radius]))
-        known = {"velocity": velocity, "prior": FlightPrior(matrix, radius)}
+        epoch = tracker.search_tables.epoch + ((k - 5) << 16)
+        known = {"velocity": velocity, "epoch": epoch, "prior": FlightPrior(matrix, radius)}
         lists.append(one.stars)
-        before.append((f"velocity {' '.join(map(str, velocity))}\nprior {prior}\n", known))
+        before.append((f"velocity {' '.join(map(str, velocity))}\nepoch {epoch}\nprior {prior}\n", known))
     answers = compare(build, tracker, lists, before)
     assert sum(answer.solved for answer in answers) > 4
 

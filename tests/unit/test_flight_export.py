@@ -144,6 +144,7 @@ def test_an_answer_is_read_to_the_last_bit():
 def test_what_the_program_is_given():
     stars = StarList.of([[1.0, 2.5]], [3.0], [0.25], [1])
     assert list_text(stars, (1, -2, 3)) == f"velocity 1 -2 3\n65536 {5 << 15} 48 {1 << 24} 1\n\n"
+    assert list_text(stars.take([False]), epoch=132_800_000) == "velocity 0 0 0\nepoch 132800000\n\n"
     assert velocity_of(None) == (0, 0, 0)
     assert velocity_of([29.9792458, 0.0, -2.99792458]) == (round(1e-4 * 2**30), 0, -round(1e-5 * 2**30))
 

@@ -14,6 +14,7 @@ from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.estimation.directions import focal_slopes, normal_equations
 from startracker.flight import search_tables as tabled
+from startracker.flight.apparent import FlightObserver, epoch_of
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.directions import plane_of, vectors_of
 from startracker.flight.evidence import LOG_UP, log_down, log_sum, log_sum_up, sight, weigh
@@ -29,12 +30,13 @@ from startracker.identification import bayes_factor, clustering_null
 from startracker.identification.bayes_factor import Matched, count_table, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price, log_excess_density
 from startracker.identification.verification import MOST_EXTRA
+from startracker.observer import Observer
 from startracker.settings import DetectionSettings, TriadSettings
 from startracker.solution import Status
 from startracker.survey import SATURATED_SHARE
 
 ONE = 1 << 30
-REST = np.zeros(3, np.int64)
+REST = FlightObserver(np.zeros(3, np.int64))
 
 
 @pytest.fixture(scope="module")
@@ -284,6 +286,33 @@ def test_aberration(star_tracker, tracker):
         for velocity in (integers(beta), None)
     ]
     assert arcsec[0] < 1.0 < arcsec[1] < 120.0
+
+
+def test_proper_motion(star_tracker, tracker):
+    """After 20 years Groombridge 1830 has moved by 141″ (7.06″ a year, Hipparcos), 3 px: 60 standard errors.
+    With the epoch it is fitted, and the attitude of these exact positions is right to 0.02 px; without, it is not."""
+    guide, camera = star_tracker.guide, star_tracker.camera
+    later = guide.seen_by(Observer(guide.epoch_jyear + 20.0))
+    fast = int(np.flatnonzero(guide.catalog.id == 57939)[0])
+    away = np.degrees(np.linalg.norm(later.directions[fast] - guide.directions[fast])) * 3600.0
+    assert away == pytest.approx(20.0 * 7.06, abs=0.1)
+    z = later.directions[fast] + [0.0, 0.02, 0.02]
+    z /= np.linalg.norm(z)
+    x = np.cross(z, [0.3, -0.5, 0.8])
+    x /= np.linalg.norm(x)
+    truth = np.array([x, np.cross(z, x), z])
+    index, _, xy = later.in_field(truth, 0.0, camera)
+    index, xy = index[:60], xy[:60]
+    assert fast in index
+    stars = StarList.of(xy, 10.0 ** (-0.4 * guide.v_mag[index] + 4.0), np.full(len(xy), 0.05**2))
+    here, epoch = list(index).index(fast), epoch_of(guide.epoch_jyear + 20.0)
+    known, unknown = tracker.solve_stars(stars, epoch=epoch), tracker.solve_stars(stars)
+    assert known.number[here] == 57939
+    assert unknown.number[here] == 0
+    assert known.used > unknown.used
+    assert math.radians(angle_deg(known.attitude_matrix, truth)) < 0.02 * camera.pixel_rad
+    with pytest.raises(InputError, match="within 100 years"):
+        tracker.solve_stars(stars, epoch=1 << 16)
 
 
 def test_verification_recovers_from_a_coarse_attitude(star_tracker, tracker, tables):

@@ -11,6 +11,7 @@ from benchmarks.flight_lists import FIELDS, field_list, null_list
 from simulator.randomness import stream
 from startracker import Camera, StarTracker
 from startracker.fixed_point.wide import WideArithmetic
+from startracker.flight.apparent import FlightObserver
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.directions import plane_of, vectors_of
 from startracker.flight.evidence import sight
@@ -26,7 +27,7 @@ from startracker.settings import TriadSettings
 from startracker.solution import Status
 
 ONE = 1 << 30
-REST = np.zeros(3, np.int64)
+REST = FlightObserver(np.zeros(3, np.int64))
 
 
 @pytest.fixture(scope="module")

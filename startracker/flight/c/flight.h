@@ -33,6 +33,7 @@ extern "C" {
 
 struct tracker_context {
     struct tracker_frame_info info;
+    struct tracker_observer observer;
     int star_count;
     struct tracker_star star[TRACKER_MAX_STARS];         /* brightest first */
     struct tracker_vector direction[TRACKER_MAX_STARS];  /* of each, camera axes */
@@ -45,7 +46,8 @@ struct tracker_context {
 
 /* Begin a frame.
  *
- * info     what is known of it; copied. A velocity of more than 2^-10 of that of light on an axis is ignored. */
+ * info     what is known of it; copied. A velocity of more than 2^-10 of that of light on an axis is ignored, and an epoch
+ *          more than TRACKER_MOST_YEARS from that of the tables. */
 void tracker_start(struct tracker_context *context, const struct tracker_frame_info *info);
 
 /* The next row of TRACKER_WIDTH pixels, DN, the top one first. Rows beyond TRACKER_HEIGHT are ignored. */

@@ -122,17 +122,19 @@ static int32_t limited(int64_t value, int32_t most)
 /* One tile after another block; levels of 12 fraction bits. */
 static void follow_tile(struct tracker_front_block *block, int tile, int32_t level, int32_t noise, int gain)
 {
-    int32_t ahead = level - block->level[tile] - block->slope[tile], least = 2 * block->noise[tile];
+    int32_t ahead = level - block->level[tile] - block->slope[tile], before = block->noise[tile];
+    int lost = tracker_magnitude(ahead) > before >> 1;
 
-    if (gain == 0 || ahead > least || ahead < -least) {
+    if (gain == 0 || lost)
         block->level[tile] = level;
-        block->slope[tile] = 0;
-    } else {
+    else
         block->level[tile] = limited((int64_t)block->level[tile] + block->slope[tile] + tracker_shift_right(ahead, gain),
                                      LARGEST_LEVEL << 12);
-        block->slope[tile] += (int32_t)tracker_shift_right(ahead, 7);
-    }
-    if (gain == 0 || noise > least || 2 * noise < block->noise[tile])
+    if (gain == 0 || tracker_magnitude(ahead) > 4 * before)
+        block->slope[tile] = 0;
+    else
+        block->slope[tile] += (int32_t)tracker_shift_right(ahead, lost ? 2 : 5);
+    if (gain == 0 || noise > 2 * before || 2 * noise < before)
         block->noise[tile] = noise;
     else
         block->noise[tile] += (int32_t)tracker_shift_right(noise - block->noise[tile], gain);
@@ -140,7 +142,6 @@ static void follow_tile(struct tracker_front_block *block, int tile, int32_t lev
 
 void tracker_front_follow(struct tracker_front_rows *rows, int32_t block, int32_t count)
 {
-    static const uint8_t gains[] = {0, 1, 2, 2, 3};
     struct tracker_front_block *next = &rows->block[block % TRACKER_FRONT_KEPT];
     int32_t level[TRACKER_FRONT_TILES], noise[TRACKER_FRONT_TILES];
     int32_t last = block * TRACKER_FRONT_BLOCK + count - 1;
@@ -154,7 +155,7 @@ void tracker_front_follow(struct tracker_front_rows *rows, int32_t block, int32_
         side = tile > 0 && tile < TRACKER_FRONT_TILES - 1;
         follow_tile(next, tile, 16 * (side ? median(level[tile - 1], level[tile], level[tile + 1]) : level[tile]),
                     64 * (side ? median(noise[tile - 1], noise[tile], noise[tile + 1]) : noise[tile]),
-                    gains[block < 4 ? block : 4]);
+                    block < 2 ? block : 2);
     }
 }
 

@@ -252,8 +252,9 @@ static int shares_star(const struct tracker_hypothesis *one, const struct tracke
     return 0;
 }
 
-void tracker_identify(struct tracker_search *search, const struct tracker_frame_info *info, const struct tracker_star *star,
-                      const struct tracker_vector *direction, const uint8_t *seen, int count, struct tracker_found *found)
+void tracker_identify(struct tracker_search *search, const struct tracker_observer *observer,
+                      const struct tracker_prior *prior, const struct tracker_star *star, const struct tracker_vector *direction,
+                      const uint8_t *seen, int count, struct tracker_found *found)
 {
     struct tracker_found elsewhere;
     int same;
@@ -268,8 +269,8 @@ void tracker_identify(struct tracker_search *search, const struct tracker_frame_
         return;
     measure_sides(search);
     tracker_crowding(search);
-    search->velocity = info->velocity;
-    search->prior = info->prior;
+    search->observer = *observer;
+    search->prior = *prior;
     if (!has_unit_rows(&search->prior.attitude))
         search->prior.radius = 0;
     if (run_searches(search, count, found) || search->prior.radius == 0)

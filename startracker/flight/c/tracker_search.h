@@ -64,7 +64,7 @@ struct tracker_search {
     int brightness;                               /* whether all of them are known */
     int32_t excess[9][TRACKER_MAX_STARS];         /* log2 of the crowding */
     uint32_t chord[TRACKER_SEARCH_SIDES], error[TRACKER_SEARCH_SIDES]; /* of pairs i > j at i (i - 1) / 2 + j */
-    struct tracker_vector velocity;
+    struct tracker_observer observer;
     struct tracker_prior prior;
     /* hypotheses, the strongest first */
     struct tracker_hypothesis best[TRACKER_SEARCH_KEPT + 1];
@@ -88,8 +88,9 @@ struct tracker_found {
 };
 
 /* tracker_search.c: identifies a list of `count` stars with directions where `seen` is not 0. */
-void tracker_identify(struct tracker_search *search, const struct tracker_frame_info *info, const struct tracker_star *star,
-                      const struct tracker_vector *direction, const uint8_t *seen, int count, struct tracker_found *found);
+void tracker_identify(struct tracker_search *search, const struct tracker_observer *observer,
+                      const struct tracker_prior *prior, const struct tracker_star *star, const struct tracker_vector *direction,
+                      const uint8_t *seen, int count, struct tracker_found *found);
 
 /* tracker_evidence.c */
 int64_t tracker_log_down(int64_t n);                      /* log2 of n >= 1, 12 fraction bits, rounded down */

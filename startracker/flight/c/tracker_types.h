@@ -39,6 +39,14 @@ struct tracker_frame_info {
     struct tracker_vector velocity; /* of the observer over that of light, ICRS axes, 2.30; zeros: no aberration */
     struct tracker_prior prior;
     int64_t time_us;                /* middle of the exposure, microseconds of any clock that does not jump */
+    int32_t epoch;                  /* the same as Julian epoch (TT), years, 16 fraction bits, for the proper motion of the
+                                       stars; 0: TRACKER_EPOCH, that of the tables */
+};
+
+/* Who sees the guide stars. */
+struct tracker_observer {
+    struct tracker_vector velocity; /* as above */
+    int32_t years;                  /* since TRACKER_EPOCH, 16 fraction bits */
 };
 
 /* In the order of `startracker.solution.Status`. */
