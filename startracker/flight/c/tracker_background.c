@@ -183,6 +183,7 @@ void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
         line->level[tile + 1] =
             limited(block->level[tile] + tracker_shift_right(moved, 3), LARGEST_LEVEL << 12) >> 4;
         line->noise[tile + 1] = block->noise[tile] >> 4;
+        line->slope[tile + 1] = (int32_t)tracker_shift_right(block->slope[tile], 6);
     }
     tile = TRACKER_FRONT_TILES > 1;
     line->level[0] = extended(line->level[1], line->level[1 + tile], 0);
@@ -190,6 +191,8 @@ void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
         extended(line->level[TRACKER_FRONT_TILES], line->level[TRACKER_FRONT_TILES - tile], 1);
     line->noise[0] = line->noise[1];
     line->noise[TRACKER_FRONT_TILES + 1] = line->noise[TRACKER_FRONT_TILES];
+    line->slope[0] = line->slope[1];
+    line->slope[TRACKER_FRONT_TILES + 1] = line->slope[TRACKER_FRONT_TILES];
 }
 
 int tracker_front_cell(int32_t x)
