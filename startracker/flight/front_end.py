@@ -12,6 +12,8 @@ the same integers as result:
 3. `front_stamps`: second moments; the motion that the images of all stars share.
 4. `front_fit`: position, flux and variance of each star by maximum likelihood.
 5. Saturated stars and trails join the list by their first moments.
+6. `front_trails`, `front_trail_fit`, `front_motion`: where the first candidates are long, components above half the
+   threshold are fitted as lines, and those of one motion are the stars.
 """
 
 from __future__ import annotations
@@ -26,14 +28,18 @@ from startracker.errors import InputError
 from startracker.flight.front_background import square_root
 from startracker.flight.front_components import LONG, Objects, at_border, find_objects, saturated_stars
 from startracker.flight.front_fit import Fits, fit_beside, fit_stars, misfit_variance
-from startracker.flight.front_rows import Candidates, find_candidates, search_rows
+from startracker.flight.front_motion import agrees, common_motion
+from startracker.flight.front_rows import Candidates, Searched, find_candidates, search_rows
 from startracker.flight.front_stamps import (
     frame_image,
+    look_trailed,
     measure_shapes,
     parts_of_trails,
     select_candidates,
 )
-from startracker.flight.front_tables import FrontTables, front_arrays, front_constants, front_tables
+from startracker.flight.front_tables import TRAIL_POINTS, FrontTables, front_arrays, front_constants, front_tables
+from startracker.flight.front_trail_fit import Trail
+from startracker.flight.front_trails import find_trails
 from startracker.flight.stars import ELONGATED, MOST_FLUX, MOST_VARIANCE, StarList
 from startracker.flight.stars import SATURATED as SATURATED_STAR
 
@@ -52,6 +58,8 @@ _TRAIL_ENDS = 671089
 """0.1² px²: a faint trail's ends fade in the noise, 26 fraction bits."""
 _FEWEST_LONG, _FEWEST_POINTS = 4, 5
 """Trails that make a frame trailed, and points that make it none, as a quarter as many points as trails do."""
+_LEAST_MOTION = 7 << 8
+"""Pixels, 8 fraction bits, from which trails are stars as `front_trails` finds them."""
 _LARGEST_TRACE = 1 << 20
 
 
@@ -87,7 +95,8 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
             f"got {pixels.shape} of {pixels.dtype}"
         )
     searched = search_rows(pixels, tables)
-    found, objects = find_candidates(searched, tables), find_objects(searched, tables)
+    found, trails = _divided(find_candidates(searched, tables), searched, tables)
+    objects = find_objects(searched, tables)
     shapes = measure_shapes(found, tables)
     full = saturated_stars(objects, tables)
     good, owned = select_candidates(found, objects, full)
@@ -103,9 +112,23 @@ def measure_frame(image: ArrayLike, tables: FrontTables) -> FrontFrame:
     flags = np.where(owned.any(axis=1), SATURATED_STAR, 0) + (ELONGATED if shared.moved else 0)
     x, y = (found.x << 16) + fits.x, (found.y << 16) + fits.y
     points = StarList(x, y, fits.flux, misfit_variance(fits, tables), flags).take(fits.star)
-    stars = _listed(points, _saturated_stars(objects, full, tables), objects, shared.moved, tables)
+    saturated = _saturated_stars(objects, full, tables)
+    lines = _stars_of_trails(trails, 0 if shared.moved else len(points.x), tables)
+    if len(lines.x):
+        stars = _brightest((saturated, lines), tables)
+    else:
+        stars = _listed(points, saturated, objects, shared.moved, tables)
     count = int(np.count_nonzero(pixels >= tables.saturation))
     return FrontFrame(stars, count, int(pixels.min()), int(pixels.max()))
+
+
+def _divided(found: Candidates, searched: Searched, tables: FrontTables) -> tuple[Candidates, list[Trail]]:
+    """The highest candidates, and trails: the first candidates decide which of them has most of the memory."""
+    few = min(TRAIL_POINTS, tables.pool)
+    first = np.lexsort((found.x, found.y))[:few]
+    if few < tables.pool and len(found.x) > few and not look_trailed(found.take(first), tables):
+        return found.take(np.arange(len(found.x))[: tables.pool]), []
+    return found.take(np.arange(len(found.x))[:few]), find_trails(searched, tables)
 
 
 def _alone(found: Candidates, fits: Fits, star: BoolArray) -> BoolArray:
@@ -121,7 +144,10 @@ def _alone(found: Candidates, fits: Fits, star: BoolArray) -> BoolArray:
 def _listed(points: StarList, full: StarList, objects: Objects, moved: bool, tables: FrontTables) -> StarList:
     """List of the stars, the brightest first: without points where trails are the stars, unless both are."""
     trails = _trailed_stars(objects, 0 if moved else len(points.x), tables)
-    parts = (full, trails, points) if moved or not len(trails.x) else (full, trails)
+    return _brightest((full, trails, points) if moved or not len(trails.x) else (full, trails), tables)
+
+
+def _brightest(parts: tuple[StarList, ...], tables: FrontTables) -> StarList:
     stars = StarList(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     return stars.take(np.lexsort((stars.x, stars.y, -stars.flux))[: tables.max_stars])
 
@@ -132,6 +158,18 @@ def _saturated_stars(objects: Objects, star: BoolArray, tables: FrontTables) -> 
     bloomed = (widths[0] - widths[1]) >> 2
     variance = np.minimum((bloomed * bloomed << 10) + _FLAT_TOP + tables.floor, MOST_VARIANCE)
     return _stars_of(objects, variance, SATURATED_STAR).take(star)
+
+
+def _stars_of_trails(trails: list[Trail], points: int, tables: FrontTables) -> StarList:
+    """Trails that share the frame's motion, where this is long and they are the stars; else none."""
+    motion = common_motion(trails, tables)
+    if motion is None or motion.along_x**2 + motion.along_y**2 < _LEAST_MOTION**2:
+        trails, motion = [], None
+    ours = [trail for trail in trails if motion is not None and agrees(trail, motion)]
+    if points >= max(_FEWEST_POINTS, len(ours) // 4):
+        ours = []
+    flux, y, x, variance = np.array([trail[:4] for trail in ours], np.int64).reshape(-1, 4).T
+    return StarList(x, y, flux, np.minimum(variance + tables.floor, MOST_VARIANCE), np.full(len(x), ELONGATED))
 
 
 def _trailed_stars(objects: Objects, points: int, tables: FrontTables) -> StarList:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import BoolArray, IntArray
 from startracker.flight.front_background import Lines, at_columns, background_lines
-from startracker.flight.front_tables import HALF, HOT, RUNS, FrontTables
+from startracker.flight.front_tables import HALF, HOT, RUNS, TRAIL_RUNS, FrontTables
 
 _CORE = 2
 """Half side of the pixels of which not all may be saturated: what is left of a stamp is too little for a fit."""
@@ -27,6 +27,8 @@ class Searched(NamedTuple):
     """(H, W): 0 where the filter reaches beyond the frame."""
     above: BoolArray
     """(H, W): Pixels above the threshold."""
+    low: BoolArray
+    """(H, W): Pixels above half of it."""
 
 
 class Candidates(NamedTuple):
@@ -41,6 +43,10 @@ class Candidates(NamedTuple):
     """Background, 8 fraction bits."""
     stamp: IntArray
     """(N, 11, 11): Pixels about it, without the slope of the background; 0 beyond the frame."""
+
+    def take(self, index: IntArray) -> Candidates:
+        """The candidates of an index."""
+        return Candidates(*(column[index] for column in self))
 
 
 def bridge_impulses(pixels: IntArray, lines: Lines, tables: FrontTables) -> IntArray:
@@ -75,27 +81,33 @@ def search_rows(image: NDArray[np.uint16], tables: FrontTables) -> Searched:
     lines = background_lines(image, tables)
     pixels = bridge_impulses(image.astype(np.int64), lines, tables)
     filtered = np.zeros(image.shape, np.int64)
-    above = np.zeros(image.shape, np.bool_)
+    above, low = np.zeros((2, *image.shape), np.bool_)
     reach, (height, width) = len(tables.tap) - 1, image.shape
     inner = (slice(reach, height - reach), slice(reach, width - reach))
     if min(height, width) <= 2 * reach:
-        return Searched(pixels, lines, filtered, above)
+        return Searched(pixels, lines, filtered, above, low)
     kernel = np.concatenate([tables.tap[:0:-1], tables.tap])
     down = sum(tap * pixels[k : height - 2 * reach + k] for k, tap in enumerate(kernel))
     down = (down + 8) >> 4
     filtered[inner] = sum(tap * down[:, k : width - 2 * reach + k] for k, tap in enumerate(kernel))
-    limit = ((tables.level_weight * lines.level) >> 16) + ((tables.threshold * lines.noise) >> 8)
     cell = np.searchsorted(tables.knot[1:-1], np.arange(width), side="right")
-    step = ((limit[:, 1:] - limit[:, :-1]) * tables.inverse) >> 16
-    limits = limit[:, cell] + step[:, cell] * (np.arange(width) - tables.knot[cell])
-    above[inner] = (filtered > limits)[inner]
+    for threshold, over in ((tables.threshold, above), (tables.threshold >> 1, low)):
+        limit = ((tables.level_weight * lines.level) >> 16) + ((threshold * lines.noise) >> 8)
+        step = ((limit[:, 1:] - limit[:, :-1]) * tables.inverse) >> 16
+        limits = limit[:, cell] + step[:, cell] * (np.arange(width) - tables.knot[cell])
+        over[inner] = (filtered > limits)[inner]
+    return Searched(pixels, lines, filtered, _first_runs(above, RUNS), _first_runs(low, TRAIL_RUNS))
+
+
+def _first_runs(above: BoolArray, most: int) -> BoolArray:
+    """Pixels of the first runs of each row."""
     begins = above.copy()
     begins[:, 1:] &= ~above[:, :-1]
-    return Searched(pixels, lines, filtered, above & (np.cumsum(begins, axis=1) <= RUNS))
+    return np.asarray(above & (np.cumsum(begins, axis=1) <= most))
 
 
 def find_candidates(searched: Searched, tables: FrontTables) -> Candidates:
-    """The highest local maxima above the threshold that are neither one pixel nor part of something extended."""
+    """Local maxima above the threshold that are neither one pixel nor part of something extended."""
     image, filtered, reach = searched.pixels, searched.filtered, len(tables.tap) - 1
     height, width = image.shape
     y, x = np.nonzero(searched.above)
@@ -121,7 +133,7 @@ def find_candidates(searched: Searched, tables: FrontTables) -> Candidates:
         axis=(1, 2)
     )
     kept = np.flatnonzero(star & ~extended)
-    kept = kept[np.lexsort((x[kept], y[kept], -tall[kept]))][: tables.pool]
+    kept = kept[np.lexsort((x[kept], y[kept], -tall[kept]))]
     even = _without_slope(stamp, inside, (x, y), searched.lines, tables)
     return Candidates(x[kept], y[kept], tall[kept], level[kept], noise[kept], even[kept])
 

@@ -29,6 +29,8 @@ _WIDE = round(256 * SHAPE_VARIANCE_PX2)
 _WIDEST = _WIDE * 29 // 32
 _TRAILED = 90
 """Difference of the principal variances, 8 fraction bits, from which an image is moved along a line, of 2 px."""
+_LONG_LINE = 555
+"""Variance along a line of 8 px under the weight, 8 fraction bits; that of the widest round image is 475."""
 _LINE = 2169
 """As a line is shorter than a Gaussian of its variance, the weight cuts less from it: a difference d is 1/(1 + d/8.5)
 times as large in px², to 3 % of the length for lines of 2 to 6 px (`tests/statistical/test_flight_front.py`)."""
@@ -170,6 +172,13 @@ def _gaussian(xx: int, yy: int, tables: FrontTables) -> StarImage:
     while half < HALF and 1024 * half * half < 25 * max(xx, yy):
         half += 1
     return StarImage(0, 0, inverse_x, inverse_y, half, (xx + yy) >> 1)
+
+
+def look_trailed(found: Candidates, tables: FrontTables) -> bool:
+    """Whether most candidates are images of long lines, or pieces of these."""
+    shapes = measure_shapes(found, tables)
+    major = np.sort(major_variance(shapes.xx, shapes.yy, shapes.xy)[0])
+    return bool(major[len(major) // 2] > _LONG_LINE)
 
 
 def parts_of_trails(found: Candidates, image: StarImage) -> BoolArray:

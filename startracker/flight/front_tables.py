@@ -18,13 +18,34 @@ from startracker.fixed_point.c_table import CTable
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import VARIANCE_BITS
 
-FRONT_MODULES = ("integers", "background", "rows", "components", "stamps", "fit", "front")
+FRONT_MODULES = (
+    "integers",
+    "background",
+    "rows",
+    "components",
+    "trails",
+    "motion",
+    "trail_fit",
+    "stamps",
+    "fit",
+    "front",
+)
 BLOCK = 4
 """Rows of a block of the background."""
 HALF = 5
 """Half side of a stamp, pixels."""
 RUNS, HOT = 32, 64
 """Runs of a row above the threshold that are looked at, and hot pixels of a row that are bridged."""
+TRAIL_POINTS = 18
+"""Candidates that decide whether the others have the rest of the memory, or trails."""
+TRAIL_RUNS, TRAIL_PENDING = 24, 16
+"""Runs of a row above half the threshold, and components that have ended and wait for their last pixels."""
+TRAIL_MARGIN = 3
+"""Pixels that are kept about a component above half the threshold."""
+TRAIL_WAIT = HALF + TRAIL_MARGIN
+"""Rows after which all pixels about one are kept."""
+TRAIL_ROWS, TRAIL_WORDS = 64, 3328
+"""Rows of which pixels about these are kept, and words for them."""
 OBJECTS = 40
 """Components kept that no stamp holds."""
 FIRST_TAP = 128
@@ -225,6 +246,14 @@ def front_constants(tables: FrontTables) -> dict[str, int]:
         "RUNS": RUNS,
         "HOT": HOT,
         "OBJECTS": OBJECTS,
+        "TRAIL_POINTS": min(TRAIL_POINTS, tables.pool),
+        "TRAIL_RUNS": TRAIL_RUNS,
+        "TRAIL_PENDING": TRAIL_PENDING,
+        "TRAIL_MARGIN": TRAIL_MARGIN,
+        "TRAIL_WAIT": TRAIL_WAIT,
+        "TRAIL_HISTORY": TRAIL_WAIT + 1,
+        "TRAIL_ROWS": TRAIL_ROWS,
+        "TRAIL_WORDS": TRAIL_WORDS,
         "TILES": tiles,
         "REACH": reach,
         "TAPS": reach + 1,

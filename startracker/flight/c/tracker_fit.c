@@ -55,7 +55,7 @@ static int is_used(const struct fitted *fitted, int column, int row)
 
 /* ------------------------------------------------------------------ the star image */
 
-static int32_t entry(const uint16_t *table, int64_t away)
+int32_t tracker_front_entry(const uint16_t *table, int64_t away)
 {
     int32_t index, part;
 
@@ -76,9 +76,9 @@ static void profile(int32_t offset, int32_t inverse, int32_t share[SIDE], int32_
     for (k = 0; k <= SIDE; k++) {
         edge = (k - HALF) * 65536 - 32768 - offset;
         away = (tracker_magnitude(edge) * inverse) >> 12;
-        integral = entry(tracker_front_profile, away);
+        integral = tracker_front_entry(tracker_front_profile, away);
         integral = edge < 0 ? -integral : integral;
-        density = (entry(tracker_front_density, away) * inverse) >> 12;
+        density = (tracker_front_entry(tracker_front_density, away) * inverse) >> 12;
         if (k > 0) {
             share[k - 1] = integral - last_integral;
             slope[k - 1] = last_density - density;
@@ -273,7 +273,7 @@ static void set_window(struct fitted *fitted)
 int tracker_front_neighbours(const struct tracker_front *front, int candidate, int other)
 {
     const uint16_t *order = front->work.measures.order;
-    const struct tracker_front_candidate *a = &front->candidate[order[candidate]], *b = &front->candidate[order[other]];
+    const struct tracker_front_candidate *a = &front->pool.candidate[order[candidate]], *b = &front->pool.candidate[order[other]];
 
     return other != candidate && front->work.measures.neighbour[other].flux > 0 && a->x <= b->x + NEIGHBOUR
            && b->x <= a->x + NEIGHBOUR && a->y <= b->y + NEIGHBOUR && b->y <= a->y + NEIGHBOUR;
@@ -292,7 +292,7 @@ static void set_data(const struct tracker_front *front, const struct fitted *fit
     for (n = 0; n < front->candidates; n++) {
         if (!tracker_front_neighbours(front, candidate, n))
             continue;
-        other = &front->candidate[m->order[n]];
+        other = &front->pool.candidate[m->order[n]];
         neighbour = &m->neighbour[n];
         make_images(fitted, (other->x - c->x) * 65536 + neighbour->x, (other->y - c->y) * 65536 + neighbour->y);
         for (j = fitted->first; j <= fitted->last; j++)
@@ -337,7 +337,7 @@ void tracker_front_fit_star(struct tracker_front *front, int candidate)
     int32_t longest = 0;
     int step;
 
-    fitted.candidate = &front->candidate[measures->order[candidate]];
+    fitted.candidate = &front->pool.candidate[measures->order[candidate]];
     fitted.measures = measures;
     set_window(&fitted);
     set_data(front, &fitted, candidate);

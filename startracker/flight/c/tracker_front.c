@@ -11,6 +11,8 @@
 #define FEWEST_LONG 4          /* trails that make a frame trailed, */
 #define FEWEST_POINTS 5        /* and points that make it none, as a quarter as many as trails do */
 #define LARGEST_TRACE (1 << 20)
+#define LEAST_MOTION (7 << 8)  /* pixels, 8 fraction bits, from which trails are stars as tracker_trails.c finds them */
+#define WAIT TRACKER_FRONT_TRAIL_WAIT
 
 void tracker_front_start(struct tracker_front *front)
 {
@@ -20,7 +22,11 @@ void tracker_front_start(struct tracker_front *front)
     front->given = front->saturated = 0;
     front->lowest = UINT16_MAX;
     front->highest = 0;
-    front->candidates = front->objects = 0;
+    front->candidates = front->objects = front->trails = 0;
+    front->room = TRACKER_FRONT_TRAIL_POINTS;
+    front->decided = 0;
+    front->tracing = 1;
+    tracker_front_trace_start(front);
     for (n = 0; n < 2 * TRACKER_FRONT_RUNS; n++)
         rows->component[n].used = 0;
     for (n = 0; n < TRACKER_FRONT_TILES; n++)
@@ -111,11 +117,11 @@ static void fit_candidates(struct tracker_front *front)
         }
         if (fit->good)
             tracker_front_fit_star(front, n);
-        a = &front->candidate[measures->order[n]];
+        a = &front->pool.candidate[measures->order[n]];
         for (m = 0; m < n && fit->good; m++) {
             if (!measures->fit[m].good)
                 continue;
-            b = &front->candidate[measures->order[m]];
+            b = &front->pool.candidate[measures->order[m]];
             dx = (int64_t)(a->x - b->x) * 65536 + fit->x - measures->fit[m].x;
             dy = (int64_t)(a->y - b->y) * 65536 + fit->y - measures->fit[m].y;
             fit->good = tracker_magnitude(dx) >= APART || tracker_magnitude(dy) >= APART;
@@ -178,7 +184,7 @@ static void list_points(struct tracker_front *front, struct tracker_star *list, 
         fit = &measures->fit[n];
         if (!fit->good)
             continue;
-        candidate = &front->candidate[measures->order[n]];
+        candidate = &front->pool.candidate[measures->order[n]];
         variance = fit->variance;
         if (2 * wrong <= first && misfits(fit))
             variance = variance * (fit->misfit >> 4 < (int64_t)1 << 32 ? fit->misfit >> 4 : (int64_t)1 << 32)
@@ -223,7 +229,7 @@ static void list_saturated(const struct tracker_front *front, struct tracker_sta
             fit = &front->work.measures.fit[m];
             fitted = fitted
                      || (fit->good && fit->full
-                         && tracker_front_boxed(&front->candidate[front->work.measures.order[m]], object));
+                         && tracker_front_boxed(&front->pool.candidate[front->work.measures.order[m]], object));
         }
         if (!object->star || fitted)
             continue;
@@ -300,6 +306,38 @@ static int list_trails(struct tracker_front *front, struct tracker_star *list, i
     return listed && !moved;
 }
 
+/* Trails that share the frame's motion, where this is long and they are the stars; whether they are. */
+static int list_lines(struct tracker_front *front, struct tracker_star *list, int *count)
+{
+    const struct tracker_front_motion *motion = &front->motion;
+    int64_t square = (int64_t)motion->along_x * motion->along_x + (int64_t)motion->along_y * motion->along_y;
+    const struct tracker_front_trail *trail;
+    struct tracker_star star;
+    int moved = front->work.measures.trail_x != 0 || front->work.measures.trail_y != 0;
+    int n, points = 0, lines = 0;
+
+    if (!motion->known || square < (int64_t)LEAST_MOTION * LEAST_MOTION)
+        return 0;
+    for (n = 0; n < front->candidates && !moved; n++)
+        points += front->work.measures.fit[n].good;
+    for (n = 0; n < front->trails; n++)
+        lines += tracker_front_agrees(&front->trail[n], motion);
+    if (points >= (lines / 4 > FEWEST_POINTS ? lines / 4 : FEWEST_POINTS))
+        return 0;
+    for (n = 0; n < front->trails; n++) {
+        trail = &front->trail[n];
+        if (!tracker_front_agrees(trail, motion))
+            continue;
+        star.x = trail->x;
+        star.y = trail->y;
+        star.flux = trail->flux;
+        star.variance = with_floor(trail->variance);
+        star.flags = TRACKER_ELONGATED;
+        keep_star(list, count, &star);
+    }
+    return lines > 0;
+}
+
 int tracker_front_finish(struct tracker_front *front, struct tracker_star star[TRACKER_MAX_STARS])
 {
     int32_t y;
@@ -309,12 +347,14 @@ int tracker_front_finish(struct tracker_front *front, struct tracker_star star[T
         return -1;
     for (y = TRACKER_HEIGHT; y < TRACKER_HEIGHT + LAG; y++)
         advance(front, y);
+    for (y = TRACKER_HEIGHT; y <= TRACKER_HEIGHT + WAIT && front->tracing; y++)
+        tracker_front_trace_row(front, y);
     tracker_front_shapes(front);
     fit_candidates(front);
     for (y = 0; y < ROUNDS; y++)
         fit_beside(front);
     list_saturated(front, star, &count);
-    if (!list_trails(front, star, &count))
+    if (!list_lines(front, star, &count) && !list_trails(front, star, &count))
         list_points(front, star, &count);
     return count;
 }

@@ -55,6 +55,43 @@ struct tracker_front_candidate {
     uint16_t stamp[TRACKER_FRONT_SIDE * TRACKER_FRONT_SIDE];
 };
 
+/* A component above half the threshold; sums over its pixels, of columns and rows. */
+struct tracker_front_piece {
+    int64_t x, y, xx, yy, xy;
+    int32_t pixels;
+    uint16_t first_x, first_y;      /* its first pixel in reading order */
+    uint16_t left, right, bottom;
+    uint16_t parent;                /* the one that it was joined to; itself: none */
+    uint8_t state;                  /* in tracker_trails.c */
+};
+
+/* Pixels about these, and what is needed to know them. A row is a sequence of segments: first column, number, values. */
+struct tracker_front_tracing {
+    struct tracker_front_piece piece[2 * TRACKER_FRONT_TRAIL_RUNS + TRACKER_FRONT_TRAIL_PENDING];
+    struct tracker_front_run run[TRACKER_FRONT_TRAIL_HISTORY][TRACKER_FRONT_TRAIL_RUNS];
+    uint8_t runs[TRACKER_FRONT_TRAIL_HISTORY];
+    uint16_t word[TRACKER_FRONT_TRAIL_WORDS];
+    uint16_t begin[TRACKER_FRONT_TRAIL_ROWS], words[TRACKER_FRONT_TRAIL_ROWS];
+    int32_t oldest, rows;           /* that are kept */
+    int32_t used;                   /* words */
+    int32_t next;
+    int32_t pending;                /* pieces that have ended */
+};
+
+/* A measured trail: position (16 fraction bits), flux (4), variance (26), length along both axes (8; along_x >= 0). */
+struct tracker_front_trail {
+    int32_t flux, y, x;
+    uint32_t variance;
+    int16_t along_x, along_y;
+};
+
+/* Motion that trails share: their length along both axes in the middle of the frame, 8 fraction bits, and its change per
+ * half pixel, 20 more bits. */
+struct tracker_front_motion {
+    int32_t along_x, along_y, turn;
+    int known;
+};
+
 /* Hot pixels of a row, and the values that replace them. */
 struct tracker_front_bridge {
     int count;
@@ -109,8 +146,18 @@ struct tracker_front {
     int32_t given;                 /* rows */
     int32_t saturated;             /* pixels of TRACKER_FRONT_SATURATION or more */
     uint16_t lowest, highest;      /* pixel values */
-    int candidates, objects;
-    struct tracker_front_candidate candidate[TRACKER_FRONT_POOL];
+    int candidates, objects, trails;
+    int room;                      /* for candidates */
+    int decided, tracing;          /* what the room beyond TRACKER_FRONT_TRAIL_POINTS is for; whether for trails */
+    struct tracker_front_motion motion;
+    struct tracker_front_trail trail[TRACKER_MAX_STARS]; /* brightest first */
+    union {
+        struct tracker_front_candidate candidate[TRACKER_FRONT_POOL];
+        struct {
+            struct tracker_front_candidate first[TRACKER_FRONT_TRAIL_POINTS];
+            struct tracker_front_tracing tracing;
+        } beside;
+    } pool;
     struct tracker_front_object object[TRACKER_FRONT_OBJECTS];
     union {
         struct tracker_front_rows rows;

@@ -28,7 +28,31 @@ void tracker_front_shapes(struct tracker_front *front);
 int tracker_front_boxed(const struct tracker_front_candidate *candidate, const struct tracker_front_object *object);
 int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row);
 
+int tracker_front_look_trailed(const struct tracker_front *front); /* whether most candidates are long */
+
+/* tracker_trails.c */
+void tracker_front_trace_start(struct tracker_front *front);
+void tracker_front_trace(struct tracker_front *front, int32_t y, int32_t x); /* a pixel above half the threshold */
+void tracker_front_trace_row(struct tracker_front *front, int32_t y);        /* after the pixels of row y */
+
+/* tracker_trail_fit.c */
+
+/* A line: middle and length (pixels of 16 fraction bits), unit vector (15). */
+struct tracker_front_line_image {
+    int64_t x, y, length, cos, sin;
+};
+
+void tracker_front_start_along(const struct tracker_front *front, struct tracker_front_line_image *line);
+int tracker_front_fit_trail(const struct tracker_front *front, const struct tracker_front_line_image *start, int32_t noise,
+                            int free, struct tracker_front_trail *trail); /* 0: it is none */
+
+/* tracker_motion.c */
+void tracker_front_motion_at(const struct tracker_front_motion *motion, int64_t x, int64_t y, int64_t along[2]);
+int tracker_front_agrees(const struct tracker_front_trail *trail, const struct tracker_front_motion *motion);
+void tracker_front_add_trail(struct tracker_front *front, const struct tracker_front_trail *trail);
+
 /* tracker_fit.c */
+int32_t tracker_front_entry(const uint16_t *table, int64_t away);
 void tracker_front_fit_star(struct tracker_front *front, int candidate); /* without the light of the neighbours */
 int tracker_front_neighbours(const struct tracker_front *front, int candidate, int other); /* that have a flux */
 

@@ -244,13 +244,35 @@ static int last_candidate(const struct tracker_front *front)
     int n, last = 0;
 
     for (n = 1; n < front->candidates; n++) {
-        a = &front->candidate[n];
-        b = &front->candidate[last];
+        a = &front->pool.candidate[n];
+        b = &front->pool.candidate[last];
         if (a->height < b->height
             || (a->height == b->height && (a->y > b->y || (a->y == b->y && a->x > b->x))))
             last = n;
     }
     return last;
+}
+
+/* Whether there are higher ones enough. */
+static int is_too_low(struct tracker_front *front, const struct tracker_front_candidate *candidate)
+{
+    struct tracker_front_rows *rows = &front->work.rows;
+
+    if (front->candidates < front->room)
+        return 0;
+    if (rows->worst < 0)
+        rows->worst = last_candidate(front);
+    return candidate->height <= front->pool.candidate[rows->worst].height;
+}
+
+/* The first candidates decide whether the rest of the memory is for more of them, or for trails. */
+static void decide(struct tracker_front *front)
+{
+    front->decided = 1;
+    if (TRACKER_FRONT_POOL > TRACKER_FRONT_TRAIL_POINTS && !tracker_front_look_trailed(front)) {
+        front->tracing = 0;
+        front->room = TRACKER_FRONT_POOL;
+    }
 }
 
 /* A pixel above the threshold. */
@@ -266,15 +288,16 @@ static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y
     here.height = filtered - (int32_t)tracker_shift_right((int64_t)TRACKER_FRONT_LEVEL_WEIGHT * here.level, 16);
     if (here.height <= 0)
         return;
-    if (front->candidates == TRACKER_FRONT_POOL) {
-        if (rows->worst < 0)
-            rows->worst = last_candidate(front);
-        if (here.height <= front->candidate[rows->worst].height)
-            return;
-    }
+    if (front->decided && is_too_low(front, &here))
+        return;
     if (!is_highest(rows, x, y, filtered) || !can_be_star(rows, &here))
         return;
-    kept = &front->candidate[front->candidates < TRACKER_FRONT_POOL ? front->candidates++ : rows->worst];
+    if (!front->decided && front->candidates == front->room) {
+        decide(front);
+        if (is_too_low(front, &here))
+            return;
+    }
+    kept = &front->pool.candidate[front->candidates < front->room ? front->candidates++ : rows->worst];
     kept->x = here.x;
     kept->y = here.y;
     kept->level = here.level;
@@ -323,52 +346,77 @@ static void end_run(struct tracker_front *front, struct growing *growing, int32_
     tracker_front_join(&front->work.rows, &growing->run, y, sums, growing->saturated);
 }
 
+/* Thresholds in the knots of a row, and of half the height. */
+struct limits {
+    int32_t whole[TRACKER_FRONT_KNOTS], half[TRACKER_FRONT_KNOTS];
+};
+
+static int32_t step_of(const int32_t *limits, int cell)
+{
+    return (int32_t)tracker_shift_right((int64_t)(limits[cell + 1] - limits[cell]) * tracker_front_inverse[cell], 16);
+}
+
 /* Runs and candidates of a row whose columns are filtered. */
-static void search(struct tracker_front *front, const int32_t *limits, int32_t y)
+static void search(struct tracker_front *front, const struct limits *limits, int32_t y)
 {
     struct tracker_front_rows *rows = &front->work.rows;
     struct growing growing;
-    int32_t x, end, limit, step, filtered;
-    int cell, open = 0;
+    int32_t x, end, limit, step, low, low_step, filtered;
+    int cell, open = 0, full = 0;
 
     for (cell = 0; cell <= TRACKER_FRONT_TILES; cell++) {
         x = larger(cell == 0 ? 0 : tracker_front_knot[cell], REACH);
         end = smaller(cell == TRACKER_FRONT_TILES ? TRACKER_WIDTH : tracker_front_knot[cell + 1], TRACKER_WIDTH - REACH);
-        step = (int32_t)tracker_shift_right((int64_t)(limits[cell + 1] - limits[cell]) * tracker_front_inverse[cell], 16);
-        limit = limits[cell] + step * (x - tracker_front_knot[cell]);
+        step = step_of(limits->whole, cell);
+        low_step = step_of(limits->half, cell);
+        limit = limits->whole[cell] + step * (x - tracker_front_knot[cell]);
+        low = limits->half[cell] + low_step * (x - tracker_front_knot[cell]);
         for (; x < end; x++) {
             filtered = filtered_here(rows, x);
+            if (filtered > low && front->tracing)
+                tracker_front_trace(front, y, x);
             if (filtered > limit) {
-                if (!open && rows->runs[y & 1] == TRACKER_FRONT_RUNS)
-                    return;
-                add_pixel(front, &growing, cell, x, y, open);
-                consider(front, cell, x, y, filtered);
-                open = 1;
+                full = full || (!open && rows->runs[y & 1] == TRACKER_FRONT_RUNS);
+                if (!full) {
+                    add_pixel(front, &growing, cell, x, y, open);
+                    consider(front, cell, x, y, filtered);
+                    open = 1;
+                }
             } else if (open) {
                 end_run(front, &growing, y);
                 open = 0;
             }
             limit += step;
+            low += low_step;
         }
     }
     if (open)
         end_run(front, &growing, y);
 }
 
+static int32_t limit_of(const struct tracker_front_line *line, int knot, int32_t threshold)
+{
+    return (int32_t)((((int64_t)TRACKER_FRONT_LEVEL_WEIGHT * line->level[knot]) >> 16)
+                     + (((int64_t)threshold * line->noise[knot]) >> 8));
+}
+
 void tracker_front_search_row(struct tracker_front *front, int32_t y)
 {
     struct tracker_front_rows *rows = &front->work.rows;
-    int32_t limits[TRACKER_FRONT_KNOTS];
+    struct limits limits;
     int k;
 
     rows->runs[y & 1] = 0;
     if (y >= REACH && y < TRACKER_HEIGHT - REACH && TRACKER_WIDTH > 2 * REACH) {
         tracker_front_line_at(rows, y);
-        for (k = 0; k < TRACKER_FRONT_KNOTS; k++)
-            limits[k] = (int32_t)((((int64_t)TRACKER_FRONT_LEVEL_WEIGHT * rows->line.level[k]) >> 16)
-                                  + (((int64_t)TRACKER_FRONT_THRESHOLD * rows->line.noise[k]) >> 8));
+        for (k = 0; k < TRACKER_FRONT_KNOTS; k++) {
+            limits.whole[k] = limit_of(&rows->line, k, TRACKER_FRONT_THRESHOLD);
+            limits.half[k] = limit_of(&rows->line, k, TRACKER_FRONT_THRESHOLD >> 1);
+        }
         filter_columns(rows, y);
-        search(front, limits, y);
+        search(front, &limits, y);
     }
     tracker_front_close(front, y);
+    if (front->tracing)
+        tracker_front_trace_row(front, y);
 }

@@ -14,6 +14,7 @@
 #define WIDE TRACKER_FRONT_WIDE
 #define WIDEST (WIDE * 29 / 32)
 #define TRAILED 90         /* square pixels, 8 fraction bits */
+#define LONG_LINE 555      /* variance of a line of 8 px under the weight, 8 fraction bits */
 #define LINE 2169          /* a line under the weight: see startracker/flight/front_stamps.py */
 #define PIXEL (((int64_t)1 << 24) / 12) /* variance of a pixel, 24 fraction bits */
 #define ERROR_OF_SHAPE 1774
@@ -25,9 +26,9 @@ static void sort_candidates(struct tracker_front *front)
     int n, k;
 
     for (n = 0; n < front->candidates; n++) {
-        a = &front->candidate[n];
+        a = &front->pool.candidate[n];
         for (k = n; k > 0; k--) {
-            b = &front->candidate[order[k - 1]];
+            b = &front->pool.candidate[order[k - 1]];
             if (b->height > a->height || (b->height == a->height && (b->y < a->y || (b->y == a->y && b->x < a->x))))
                 break;
             order[k] = order[k - 1];
@@ -51,9 +52,9 @@ static int is_free(const struct tracker_front *front, int n, uint8_t *full)
     *full = 0;
     for (k = 0; k < front->objects; k++) {
         object = &front->object[k];
-        if (!tracker_front_boxed(&front->candidate[order[n]], object))
+        if (!tracker_front_boxed(&front->pool.candidate[order[n]], object))
             continue;
-        for (m = 0; m < n && !tracker_front_boxed(&front->candidate[order[m]], object); m++)
+        for (m = 0; m < n && !tracker_front_boxed(&front->pool.candidate[order[m]], object); m++)
             ;
         if (!object->star || m < n)
             return 0;
@@ -175,6 +176,23 @@ static void insert_sorted(int32_t *values, int count, int32_t value)
     values[k] = value;
 }
 
+int tracker_front_look_trailed(const struct tracker_front *front)
+{
+    int32_t major[TRACKER_FRONT_TRAIL_POINTS], moments[3], axes[2];
+    struct tracker_front_fit fit;
+    int n;
+
+    for (n = 0; n < TRACKER_FRONT_TRAIL_POINTS; n++) {
+        measure_shape(&front->pool.candidate[n], &fit);
+        moments[0] = fit.xx;
+        moments[1] = fit.yy;
+        moments[2] = fit.xy;
+        tracker_front_principal(moments, axes);
+        insert_sorted(major, n, axes[0]);
+    }
+    return major[TRACKER_FRONT_TRAIL_POINTS / 2] > LONG_LINE;
+}
+
 /* Variance without the weight. */
 static int32_t unweighted(int32_t seen)
 {
@@ -243,7 +261,7 @@ static void find_image(struct tracker_front *front)
 
     for (n = 0; n < front->candidates && used < SHAPE_STARS; n++) {
         fit = &measures->fit[n];
-        if (!fit->good || !fit->valid || fit->sharp || !is_whole(&front->candidate[measures->order[n]]))
+        if (!fit->good || !fit->valid || fit->sharp || !is_whole(&front->pool.candidate[measures->order[n]]))
             continue;
         insert_sorted(xx, used, fit->xx);
         insert_sorted(yy, used, fit->yy);
@@ -280,20 +298,20 @@ void tracker_front_shapes(struct tracker_front *front)
 
     sort_candidates(front);
     for (n = 0; n < front->candidates; n++) {
-        a = &front->candidate[measures->order[n]];
+        a = &front->pool.candidate[measures->order[n]];
         fit = &measures->fit[n];
         measure_shape(a, fit);
         fit->good = (uint8_t)is_free(front, n, &fit->full);
         for (m = 0; m < n && fit->good; m++)
-            fit->good = !is_beside(a, &front->candidate[measures->order[m]]);
+            fit->good = !is_beside(a, &front->pool.candidate[measures->order[m]]);
     }
     find_image(front);
     for (n = 0; n < front->candidates; n++) {
-        a = &front->candidate[measures->order[n]];
+        a = &front->pool.candidate[measures->order[n]];
         fit = &measures->fit[n];
         fit->good = fit->good && fit->valid && !fit->sharp;
         for (m = 0; m < n && fit->good; m++) {
-            b = &front->candidate[measures->order[m]];
+            b = &front->pool.candidate[measures->order[m]];
             fit->good = !is_on_trail(measures, a, b);
         }
     }
