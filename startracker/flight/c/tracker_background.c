@@ -210,3 +210,29 @@ int32_t tracker_front_between(const int32_t *knots, int cell, int32_t x)
 
     return knots[cell] + (int32_t)tracker_shift_right(rise * (x - tracker_front_knot[cell]), 16);
 }
+
+/* A pixel without the rise of the background, in whole DN; it remains saturated, or not. */
+static uint16_t without(uint16_t value, int32_t rise)
+{
+    const int32_t most = TRACKER_FRONT_SATURATION - 1 < UINT16_MAX ? TRACKER_FRONT_SATURATION - 1 : UINT16_MAX;
+
+    return value < TRACKER_FRONT_SATURATION ? (uint16_t)limited((int64_t)value - rise, most) : value;
+}
+
+void tracker_front_level(const struct tracker_front_rows *rows, int cell, struct tracker_front_candidate *candidate)
+{
+    const int32_t *level = rows->line.level;
+    const int32_t across =
+        (int32_t)tracker_shift_right((int64_t)(level[cell + 1] - level[cell]) * tracker_front_inverse[cell], 16);
+    const int32_t down = tracker_front_between(rows->line.slope, cell, candidate->x);
+    int32_t rise;
+    int i, j;
+
+    for (j = 0; j < TRACKER_FRONT_SIDE; j++)
+        for (i = 0; i < TRACKER_FRONT_SIDE; i++) {
+            uint16_t *value = &candidate->stamp[j * TRACKER_FRONT_SIDE + i];
+            rise = across * (i - TRACKER_FRONT_HALF) + down * (j - TRACKER_FRONT_HALF);
+            if (tracker_front_inside(candidate, i, j))
+                *value = without(*value, (int32_t)tracker_shift_right(rise + 128, 8));
+        }
+}

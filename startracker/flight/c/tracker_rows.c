@@ -171,32 +171,16 @@ int tracker_front_inside(const struct tracker_front_candidate *candidate, int co
     return x >= 0 && x < TRACKER_WIDTH && y >= 0 && y < TRACKER_HEIGHT;
 }
 
-/* A pixel without the slope of the background, in whole DN; it remains saturated, or not. */
-static uint16_t even(uint16_t value, int32_t rise)
+static void copy_stamp(struct tracker_front_rows *rows, struct tracker_front_candidate *candidate)
 {
-    int32_t left = (int32_t)value - rise;
-
-    if (value >= TRACKER_FRONT_SATURATION)
-        return value;
-    return (uint16_t)larger(smaller(left, smaller(TRACKER_FRONT_SATURATION - 1, UINT16_MAX)), 0);
-}
-
-static void copy_stamp(struct tracker_front_rows *rows, int cell, struct tracker_front_candidate *candidate)
-{
-    const int64_t step = (int64_t)(rows->line.level[cell + 1] - rows->line.level[cell]) * tracker_front_inverse[cell];
-    const int32_t across = (int32_t)tracker_shift_right(step, 16);
-    const int32_t down = tracker_front_between(rows->line.slope, cell, candidate->x);
-    int32_t rise;
     int i, j;
 
     for (j = 0; j < SIDE; j++)
-        for (i = 0; i < SIDE; i++) {
-            rise = (int32_t)tracker_shift_right(across * (i - HALF) + down * (j - HALF) + 128, 8);
+        for (i = 0; i < SIDE; i++)
             candidate->stamp[j * SIDE + i] =
                 tracker_front_inside(candidate, i, j)
-                    ? even(tracker_front_row_at(rows, candidate->y + j - HALF)[candidate->x + i - HALF], rise)
+                    ? tracker_front_row_at(rows, candidate->y + j - HALF)[candidate->x + i - HALF]
                     : 0;
-        }
 }
 
 /* Whether all pixels of the core are saturated: what is left is too little for a fit. */
@@ -303,7 +287,8 @@ static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y
     kept->level = here.level;
     kept->noise = here.noise;
     kept->height = here.height;
-    copy_stamp(rows, cell, kept);
+    copy_stamp(rows, kept);
+    tracker_front_level(rows, cell, kept);
     rows->worst = -1;
 }
 
