@@ -3,9 +3,9 @@
     python -m benchmarks.flight [--frames 200] [--lists 2000] [--case WORD ...] [--arithmetic fixed float]
                                 [--keep DIR] [--out FILE.md]
 
-Both get the same pixels or the same list, the calibrated camera and the velocity of the observer. An attitude is
-correct within the limits of the other benchmarks. The ratio of the errors is that of their rms across the boresight,
-over what both identify, with an interval by bootstrap.
+Both get the same pixels or the same list, the calibrated camera, the velocity of the observer and the epoch. An
+attitude is correct within the limits of the other benchmarks. The ratio of the errors is that of their rms across the
+boresight, over what both identify, with an interval by bootstrap.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from simulator.study.statistics import wilson_interval
 from simulator.study.trials.trial import build_tracker, solve_frame
 from startracker import StarTracker
 from startracker.arrays import FloatArray
+from startracker.flight.apparent import epoch_of
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.stars import StarList
 
@@ -85,6 +86,7 @@ class Given(NamedTuple):
     velocity: tuple[int, ...]
     truth: FloatArray
     outcome: Outcome
+    epoch: int
 
 
 def outcome_of(
@@ -121,11 +123,11 @@ def rendered(name: str, count: int, keep: Path | None) -> Iterator[Given]:
             given = _solved(solver[0], *make[0](index))
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
-                np.savez(file, *given[:3], given.outcome.status, given.outcome.error)
+                np.savez(file, *given[:3], given.outcome.status, given.outcome.error, given.epoch)
         else:
             with np.load(file) as held:
-                image, velocity, truth, status, error = (held[f"arr_{k}"] for k in range(5))
-            given = Given(image, tuple(velocity.tolist()), truth, Outcome(str(status), error))
+                image, velocity, truth, status, error, epoch = (held[f"arr_{k}"] for k in range(6))
+            given = Given(image, tuple(velocity.tolist()), truth, Outcome(str(status), error), int(epoch))
         yield given
 
 
@@ -134,7 +136,9 @@ def _solved(tracker: StarTracker, frame: Frame, truth: FrameTruth) -> Given:
     matrix = None if solution.attitude is None else solution.attitude.as_matrix()
     true = truth.attitude.as_matrix()
     outcome = outcome_of(str(solution.status), true, matrix, frame.camera.pixel_rad)
-    return Given(np.asarray(frame.image), velocity_of(frame.observer.velocity_km_s), true, outcome)
+    observer = frame.observer
+    velocity, epoch = velocity_of(observer.velocity_km_s), epoch_of(observer.epoch_jyear)
+    return Given(np.asarray(frame.image), velocity, true, outcome, epoch)
 
 
 def compare_frames(name: str, arithmetics: list[str], count: int, keep: Path | None) -> list[list[str]]:
@@ -150,7 +154,7 @@ def compare_frames(name: str, arithmetics: list[str], count: int, keep: Path | N
         for given in rendered(name, count, keep):
             python.append(given.outcome)
             for arithmetic, program in programs.items():
-                answer = program.frames([given.image], given.velocity)[0]
+                answer = program.frames([given.image], given.velocity, given.epoch)[0]
                 matrix = None if answer.attitude is None else answer.attitude.as_matrix()
                 pixel = program.design.camera.pixel_rad
                 compiled[arithmetic].append(outcome_of(answer.status, given.truth, matrix, pixel))

@@ -111,8 +111,8 @@ class Exposure:
             xy, weights = star_paths(camera, directions, motion.rate_rad_s, self.duration_s, *sampling)
             return Paths(xy, weights, electrons)
         line_s = self.shutter.line_time_s
-        moving = (motion.rate_rad_s, self.duration_s, line_s, *sampling, drift)
-        xy, weights, share = rolling_paths(camera, directions, *moving)
+        sources = directions if drift is None else drift
+        xy, weights, share = rolling_paths(camera, sources, motion.rate_rad_s, self.duration_s, line_s, *sampling)
         return Paths(xy, weights, electrons * share)
 
     def add_transfer_smear(self, mean_e: FloatArray) -> None:

@@ -289,10 +289,11 @@ class Attitude:
 def _is_rotation(matrix: FloatArray) -> bool:
     """Whether a matrix (3, 3) is orthogonal, to 1e-5 in the lengths of its rows, with a positive determinant."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
-    lengths = (a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i)
-    slants = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
-    orthogonal = all(abs(square - 1.0) <= 1.1e-5 for square in lengths) and all(abs(slant) <= 1e-6 for slant in slants)
-    return orthogonal and a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) > 0.0
+    one, two, three = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i
+    square = abs(one - 1.0) <= 1.1e-5 and abs(two - 1.0) <= 1.1e-5 and abs(three - 1.0) <= 1.1e-5
+    slants = abs(a * d + b * e + c * f), abs(a * g + b * h + c * i), abs(d * g + e * h + f * i)
+    determinant = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+    return bool(square and max(slants) <= 1e-6 and determinant > 0.0)
 
 
 def _right_ascension(x: float, y: float) -> float:

@@ -14,6 +14,7 @@ from startracker.camera import Camera
 from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEED_OF_LIGHT_KM_S
 from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
+from startracker.kernels import kernel
 from startracker.observer import Observer, aberrate
 
 _NAIF = {
@@ -30,6 +31,7 @@ _NAIF = {
 }
 """Path of each body from the barycentre of the solar system in DE421's numbers; Moon and Earth are the last."""
 _FROM_ANYWHERE, _FROM_EARTH, _EARTH = tuple(_NAIF)[:-1], tuple(_NAIF)[:-2], len(_NAIF) - 1
+_NOWHERE = np.full(3, np.nan)
 _STEP_DAYS = 0.5
 """Step of the table: a cubic through positions and velocities is within 0.2 km of the Moon and 4 km of Mercury."""
 _TABLE_DAYS = 366.0
@@ -80,14 +82,12 @@ def _directions(observer: Observer) -> tuple[tuple[str, ...], FloatArray]:
     jd = J2000_JD_TT + DAYS_PER_JULIAN_YEAR * (observer.epoch_jyear - 2000.0)
     if not DE421_SPAN_JD[0] + _STEP_DAYS < jd < DE421_SPAN_JD[1] - _STEP_DAYS:
         raise InputError(outside_ephemeris(jd))
-    position, velocity = _states_au(jd)
+    first_jd, table = _table(math.floor((jd - J2000_JD_TT) / _TABLE_DAYS))
+    node, u = divmod((jd - first_jd) / _STEP_DAYS, 1.0)
     here, names = observer.position_au, _FROM_ANYWHERE
     if here is None:
-        here, names = position[_EARTH], _FROM_EARTH
-    offset, velocity = position[: len(names)] - here, velocity[: len(names)]
-    light_days = np.sqrt(np.sum(offset**2, axis=1)) / _LIGHT_DAY_AU
-    offset = offset - velocity * light_days[:, None]
-    directions = offset / np.sqrt(np.sum(offset**2, axis=1))[:, None]
+        here, names = _NOWHERE, _FROM_EARTH
+    directions = _directions_from(here, table[int(node) : int(node) + 2], u, len(names))
     if observer.velocity_km_s is not None:
         directions = aberrate(directions, observer.velocity_km_s)
     return names, directions
@@ -116,7 +116,7 @@ def seen_bodies(
     observer : Observer, optional
         Its epoch, velocity and position; none, or a date outside DE421: no bodies.
     stars : tuple
-        Rows (M,) of the identified centroids, and their distances (M,) from the stars, pixels.
+        Rows (M,) of the identified centroids, and their residuals (M, 2), pixels.
     """
     if observer is None or not len(xy):
         return NO_BODIES
@@ -125,10 +125,10 @@ def seen_bodies(
     except InputError:
         return NO_BODIES
     off_axis = directions @ matrix[2]
-    near = np.flatnonzero(off_axis > math.cos(camera.half_diagonal_rad)).tolist()
+    near = (off_axis > math.cos(camera.half_diagonal_rad)).nonzero()[0].tolist()
     if not near:
         return NO_BODIES
-    from_star = dict(zip(stars[0].tolist(), stars[1].tolist(), strict=True))
+    from_star = dict(zip(stars[0].tolist(), np.hypot(stars[1][:, 0], stars[1][:, 1]).tolist(), strict=True))
     found = []
     for k in near:
         predicted = camera.project((directions[k] @ matrix.T)[None])[0]
@@ -156,17 +156,31 @@ def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: 
     return np.asarray((directions @ bodies.T > np.cos(reach_rad)).any(axis=1))
 
 
-def _states_au(jd: float) -> tuple[FloatArray, FloatArray]:
-    """Barycentric positions (10, 3), au, and velocities (10, 3), au a day, of the bodies, ICRF axes, at one date; by
-    cubics through a table."""
-    first_jd, table = _table(math.floor((jd - J2000_JD_TT) / _TABLE_DAYS))
-    node, u = divmod((jd - first_jd) / _STEP_DAYS, 1.0)
-    (p0, s0), (p1, s1) = table[int(node)], table[int(node) + 1]
-    change = p1 - p0
-    left, right = s0 - change, s1 - change
-    position = p0 + u * change + u * (1.0 - u) * ((1.0 - u) * left - u * right)
-    slope = change + (1.0 - u) * (1.0 - 3.0 * u) * left - u * (2.0 - 3.0 * u) * right
-    return position, slope / _STEP_DAYS
+@kernel
+def _directions_from(here: FloatArray, nodes: FloatArray, u: float, bodies: int) -> FloatArray:
+    """Unit vectors, ICRF axes, (bodies, 3), from a barycentric position (3,), au; NaN: from the Earth.
+
+    `nodes` (2, 2, 10, 3) are two successive rows of `_table`: positions and velocities at the date `u` steps after the
+    first are those of a cubic, and light time is to first order.
+    """
+    position, velocity, out = np.empty((_EARTH + 1, 3)), np.empty((_EARTH + 1, 3)), np.empty((bodies, 3))
+    for body in range(_EARTH + 1):
+        for axis in range(3):
+            change = nodes[1, 0, body, axis] - nodes[0, 0, body, axis]
+            left, right = nodes[0, 1, body, axis] - change, nodes[1, 1, body, axis] - change
+            between = u * (1.0 - u) * ((1.0 - u) * left - u * right)
+            position[body, axis] = nodes[0, 0, body, axis] + u * change + between
+            slope = change + (1.0 - u) * (1.0 - 3.0 * u) * left - u * (2.0 - 3.0 * u) * right
+            velocity[body, axis] = slope / _STEP_DAYS
+    start = position[_EARTH] if math.isnan(here[0]) else here
+    for body in range(bodies):
+        x, y, z = position[body, 0] - start[0], position[body, 1] - start[1], position[body, 2] - start[2]
+        light_days = math.sqrt(x * x + y * y + z * z) / _LIGHT_DAY_AU
+        x, y = x - velocity[body, 0] * light_days, y - velocity[body, 1] * light_days
+        z -= velocity[body, 2] * light_days
+        length = math.sqrt(x * x + y * y + z * z)
+        out[body, 0], out[body, 1], out[body, 2] = x / length, y / length, z / length
+    return out
 
 
 @functools.lru_cache(maxsize=4)

@@ -19,7 +19,7 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.display import changed_fields
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Distortion:
         return self.k1, self.k2, self.p1, self.p2, self.k3, self.k4, self.k5, self.k6
 
 
-@kernel
+@kernel_part
 def _distort_point(x: float, y: float, k: FloatArray) -> tuple[float, float]:
     r2 = x * x + y * y
     radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])))
@@ -74,7 +74,7 @@ def _distort_point(x: float, y: float, k: FloatArray) -> tuple[float, float]:
     )
 
 
-@kernel
+@kernel_part
 def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Pixels (N, 2) of vectors (N, 3) in camera axes for a pinhole with distortion `k`; NaN where z ≤ 1e-9."""
     out = np.empty((len(vectors), 2))
@@ -116,7 +116,7 @@ def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) ->
     return x, y, False
 
 
-@kernel
+@kernel_part
 def _fold_radius2(k: FloatArray) -> float:
     """Square of the radius, up to 8 (83°), at which r · radial(r²) first stops increasing: the model ends there."""
     for step in range(1, 513):
@@ -131,7 +131,7 @@ def _fold_radius2(k: FloatArray) -> float:
     return np.inf
 
 
-@kernel
+@kernel_part
 def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     """Undistorted from distorted normalised coordinates, shape (N, 2); NaN where the lens model cannot be inverted.
 
@@ -158,7 +158,7 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@kernel_part
 def unproject_pinhole(xy: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Unit vectors (N, 3) in camera axes of pixels (N, 2): inverse of `project_pinhole`; NaN as in `undistort`."""
     normalised = np.empty((len(xy), 2))

@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 PROJECTIONS = ("pinhole", "fisheye", "equidistant", "equisolid")
 """Values of a camera's `projection`; the last two take no coefficients."""
@@ -49,7 +49,7 @@ def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
     return float(theta * (1.0 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])))))
 
 
-@kernel
+@kernel_part
 def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float:
     """Angle of a radius, NaN beyond the largest.
 
@@ -79,7 +79,7 @@ def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float
     return theta
 
 
-@kernel
+@kernel_part
 def fisheye_project(vectors: FloatArray, k: FloatArray, equisolid: bool, limit: float) -> FloatArray:
     """Image points (N, 2) in focal lengths of vectors (N, 3) of any length; NaN beyond the angle `limit`."""
     out = np.empty((vectors.shape[0], 2))

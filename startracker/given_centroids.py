@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arrays import FloatArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.errors import InputError
 from startracker.kernels import kernel
@@ -16,12 +18,20 @@ SAME_STAR_PX = 0.75
 
 
 def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:
-    """Usable centroids (N, 2), brightest first, and their flux: finite, on the image, without duplicates.
+    """Usable centroids (N, 2), brightest first, and their flux, as `usable_centroids`."""
+    points, signal, _ = usable_centroids(xy, flux, camera)
+    return points, signal
+
+
+def usable_centroids(
+    xy: ArrayLike, flux: ArrayLike | None, camera: Camera
+) -> tuple[FloatArray, FloatArray | None, IntArray]:
+    """Usable centroids (M, 2), brightest first, their flux and rows: finite, on the image, without duplicates.
 
     A star whose flux is not a positive number is taken as the faintest.
     """
     try:
-        points = np.asarray(plain(xy), dtype=float)
+        points = np.array(plain(xy), dtype=float, order="C")
         signal = None if flux is None else np.asarray(plain(flux), dtype=float).reshape(-1)
     except (TypeError, ValueError):
         raise InputError("centroids and fluxes must be numbers: xy with the shape (N, 2), flux with (N,)") from None
@@ -31,26 +41,24 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
         raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
     if signal is not None and len(signal) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
-    keep = np.flatnonzero(np.isfinite(points).all(axis=1) & camera.contains(points))
-    points = points[keep]
+    rows = _on_image(points, camera.width, camera.height)
     if signal is not None:
-        signal = signal[keep]
-        good = np.isfinite(signal) & (signal > 0)
-        if good.any():
-            if not good.all():
-                signal = np.where(good, signal, signal[good].min() * 0.5)
-            # ties are broken by position, so that the order of the input does not matter
-            order = np.lexsort((points[:, 0], points[:, 1], -signal))
-            points, signal = points[order], signal[order]
-        else:
-            signal = None
+        signal = signal[rows]
+        good = (signal > 0.0) & (signal < math.inf)
+        usable = np.count_nonzero(good)
+        if usable < len(good):
+            signal = np.where(good, signal, signal[good].min() * 0.5) if usable else None
+    if signal is not None:  # ties are broken by position, so that the order of the input does not matter
+        order = np.lexsort((points[rows, 0], points[rows, 1], -signal))
+        rows, signal = rows[order], signal[order]
+    points = points[rows]
     alone = _first_of_each(points)
-    return points[alone], None if signal is None else signal[alone]
+    return points[alone], None if signal is None else signal[alone], rows[alone]
 
 
-def stated_variance(sigma_px: ArrayLike | None, xy: ArrayLike, kept: FloatArray) -> FloatArray | None:
-    """Variance (M,), pixels², of the centroids `kept` (M, 2) by `clean_centroids`, from the given standard errors (one
-    per centroid, or one for all); None if none are given.
+def stated_variance(sigma_px: ArrayLike | None, given: int, rows: IntArray) -> FloatArray | None:
+    """Variance (M,), pixels², of the usable ones, by `rows` (M,), of all given centroids, from the stated standard
+    errors (one per centroid, or one for all); None if none are stated.
 
     Raises
     ------
@@ -59,18 +67,27 @@ def stated_variance(sigma_px: ArrayLike | None, xy: ArrayLike, kept: FloatArray)
     """
     if sigma_px is None:
         return None
-    points = np.asarray(xy, dtype=float).reshape(-1, 2)
     try:
         sigma = np.asarray(sigma_px, dtype=float)
     except (TypeError, ValueError):
         raise InputError("sigma_px must be numbers: the standard error of each centroid on one axis, pixels") from None
-    if sigma.shape not in ((), (len(points),)):
-        raise InputError(f"there are {len(points)} centroids, but sigma_px has the shape {sigma.shape}")
-    if sigma.size and not (np.isfinite(sigma) & (sigma > 0.0)).all():
+    if sigma.shape not in ((), (given,)):
+        raise InputError(f"there are {given} centroids, but sigma_px has the shape {sigma.shape}")
+    if np.count_nonzero((sigma > 0.0) & (sigma < math.inf)) < sigma.size:
         raise InputError("sigma_px must be positive and finite, pixels")
-    row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}  # the first of equal centroids
-    chosen = [row[x, y] for x, y in kept.tolist()]
-    return np.asarray(np.broadcast_to(sigma, len(points))[chosen] ** 2)
+    chosen: FloatArray = sigma[rows] if sigma.ndim else np.full(len(rows), sigma)
+    return chosen * chosen
+
+
+@kernel
+def _on_image(points: FloatArray, width: int, height: int) -> IntArray:
+    """Rows (M,) of the points (N, 2) on the image, as `Camera.contains`; none is infinite or NaN."""
+    rows, count = np.empty(len(points), np.int64), 0
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        rows[count] = n
+        count += -0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5
+    return rows[:count]
 
 
 @kernel

@@ -140,10 +140,11 @@ def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
     gravitational term, which is below 0.5 µas).
     """
     beta = np.asarray(velocity_km_s, dtype=float) / SPEED_OF_LIGHT_KM_S
-    inverse_gamma = float(np.sqrt(1.0 - beta @ beta))
+    inverse_gamma = math.sqrt(1.0 - float(beta @ beta))
     along = directions @ beta
-    out = directions * inverse_gamma + beta * (1.0 + along / (1.0 + inverse_gamma))[:, None]
-    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+    out: FloatArray = directions * inverse_gamma + beta * (1.0 + along / (1.0 + inverse_gamma))[:, None]
+    out /= np.sqrt(np.add.reduce(out * out, axis=1, keepdims=True))
+    return out
 
 
 def unknown_aberration(matrix: FloatArray) -> FloatArray:

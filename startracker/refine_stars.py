@@ -36,7 +36,7 @@ def refine_stars(
     """
     free = directions is None
     refined = refine(pairs, stars, camera, guide, estimator, free, directions, observer)
-    matched = refined.pairs[:, 0], np.hypot(refined.residual_px[:, 0], refined.residual_px[:, 1])
+    matched = refined.pairs[:, 0], refined.residual_px
     bodies = seen_bodies(stars.xy, refined.camera, refined.matrix, observer, matched)
     if not len(bodies.centroid) or not np.isin(bodies.centroid, refined.pairs[:, 0]).any():
         return refined, bodies

@@ -25,7 +25,7 @@ from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
-from startracker.given_centroids import clean_centroids, stated_variance
+from startracker.given_centroids import stated_variance, usable_centroids
 from startracker.given_image import given_image, prior_of
 from startracker.identification.acceptance import is_beyond_doubt
 from startracker.identification.around_prior import identify_around
@@ -33,6 +33,7 @@ from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
+from startracker.records import changed
 from startracker.refine import Measured, Refined
 from startracker.refine_stars import refine_stars
 from startracker.registry import lookup
@@ -203,21 +204,21 @@ class StarTracker:
             If the shapes of the arrays do not match or an error is not positive.
         """
         clock, observer = Clock(), observer_of(observer, time)
-        points, signal = clean_centroids(xy, flux, self.camera)
-        guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, xy, points)
+        points, signal, rows = usable_centroids(xy, flux, self.camera)
+        given = np.size(xy) // 2
+        guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, given, rows)
         measured = Measured(points, signal, variance)
         solution = self._solve(measured, as_prior(prior, prior_deg), observer, guide, clock)
-        left_out = np.size(xy) // 2 - len(points)
+        reason, left_out = solution.reason, given - len(points)
         if left_out and not solution.solved:
-            reason = f"{solution.reason} ({left_out} centroids not finite, outside the image or repeated)"
-            solution = replace(solution, reason=reason)
+            reason = f"{reason} ({left_out} centroids not finite, outside the image or repeated)"
         steps = Steps(
-            partial(listed_step, np.size(xy) // 2, points, signal),
+            partial(listed_step, given, points, signal),
             solution.steps,
             partial(attitude_steps, solution),
             hints(solution.status, len(points), known_camera=True),
         )
-        return replace(solution, steps=steps)
+        return changed(solution, reason=reason, steps=steps)
 
     # ------------------------------------------------------------------ points or trails
     def _solve_looks(
@@ -282,7 +283,8 @@ class StarTracker:
             unsolved = self._unsolved(found.status, found.reason, clock, stars.xy)
             chance, operations = found.log_false_alarm, found.operations
             return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
-        pairs = np.stack([usable[found.pairs[:, 0]], found.pairs[:, 1]], axis=1)
+        pairs = found.pairs.copy()
+        pairs[:, 0] = usable[pairs[:, 0]]
         camera, free = self.camera, found.focal != 1.0
         if free:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
@@ -293,7 +295,7 @@ class StarTracker:
             reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
         solution = self._solved(found, refined, stars, guide, observer, clock)
-        return replace(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
+        return changed(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""

@@ -7,12 +7,12 @@ import numpy as np
 from simulator.detector.simd import outside
 from simulator.detector.steps import Collection
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import kernel_part
 
 _FINITE = np.finfo(np.float64).max
 
 
-@kernel
+@kernel_part
 def collect(mean_e: FloatArray, signal: FloatArray, how: Collection, exposure_s: float, first: int) -> bool:
     """Mean electrons of the pixels first, first + 1, …: light × response + dark current × exposure.
 
@@ -44,7 +44,7 @@ def collect(mean_e: FloatArray, signal: FloatArray, how: Collection, exposure_s:
     return bool(not how.is_light or outside(signal, 0.0, _FINITE) == 0)
 
 
-@kernel
+@kernel_part
 def clip(electrons: FloatArray, full_well_e: float) -> None:
     """Limit charge (N,), electrons, to the full well, with all of the excess drained."""
     for i in range(electrons.size):

@@ -26,7 +26,7 @@ from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_wor
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""
@@ -124,7 +124,7 @@ def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleA
         signal[i] = np.float64(number[i]) if number[i] >= _ZERO else signal[i]
 
 
-@kernel
+@kernel_part
 def expand(mean: SingleArray, number: SingleArray) -> None:
     """Quantiles by the expansion, from the Gaussian ones in `number`, replaced; −1 where it does not settle."""
     for i in range(number.size):
@@ -202,7 +202,7 @@ def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
         number[i] = found if rate < LOWEST else number[i]
 
 
-@kernel
+@kernel_part
 def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     """Smallest n with P(≤ n) > u, u = (word + fraction)/2³², from the distribution function in double precision.
 
@@ -280,7 +280,7 @@ def cumulative(n: float, mean: float) -> float:
     return float(probability(n, mean) * total)
 
 
-@kernel
+@kernel_part
 def exceeding(n: float, mean: float) -> float:
     """P(> n) of the Poisson distribution."""
     term, total, k = 1.0, 1.0, n + 2.0

@@ -15,7 +15,7 @@ from simulator.detector.excess_noise import bunch_e
 from simulator.detector.parameters import DetectorParameters
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
-from startracker.kernels import kernel
+from startracker.kernels import kernel_part
 
 SATURATION_MARGIN_SIGMA = 3.0
 """A full pixel reads lower than its mean by more than this many standard deviations of the readout noise in 0.1 % of
@@ -42,7 +42,7 @@ def detector_reset_noise_e(detector: DetectorParameters) -> float:
     return reset_noise_e(detector.reset_capacitance_ff * 1e-15, detector.temperature_c)
 
 
-@kernel
+@kernel_part
 def bend(electrons: FloatArray, full_well_e: float, second: float, third: float) -> None:
     """Signal (N,) of a slightly non-linear output stage, electrons: S (1 + c₂ s + c₃ s²), s = S / full well.
 
@@ -55,14 +55,14 @@ def bend(electrons: FloatArray, full_well_e: float, second: float, third: float)
         electrons[i] *= 1.0 + relative * (second + third * relative)
 
 
-@kernel
+@kernel_part
 def amplify(electrons: FloatArray, gain_e_per_dn: float, offset_dn: float) -> None:
     """Signal (N,) at the converter: electrons / gain + offset, fractional DN."""
     for i in range(electrons.size):
         electrons[i] = electrons[i] / gain_e_per_dn + offset_dn
 
 
-@kernel
+@kernel_part
 def convert(signal_dn: FloatArray, highest_dn: float) -> None:
     """Digital numbers (N,) of the converter: rounded to nearest and clipped to 0 … `highest_dn`."""
     for i in range(signal_dn.size):

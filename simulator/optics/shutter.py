@@ -53,26 +53,24 @@ _TABLE_PER_CYCLE = 24
 
 def rolling_paths(
     camera: Camera,
-    directions: FloatArray,
+    sources: FloatArray | Drift,
     rate_rad_s: ArrayLike,
     exposure_s: float,
     line_time_s: float,
     feature_px: float = DEFAULT_FEATURE_PX,
     margin_px: float = DEFAULT_MARGIN_PX,
     jitter: JitterMotion | None = None,
-    drift: Drift | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pixel positions of stars during the exposure of their rows.
 
     Parameters
     ----------
-    camera, directions, rate_rad_s, exposure_s, feature_px, margin_px, jitter
-        As in `simulator.optics.smear.star_paths`; the directions are those at the middle of the exposure of the middle
-        row.
+    camera, rate_rad_s, exposure_s, feature_px, margin_px, jitter
+        As in `simulator.optics.smear.star_paths`.
+    sources : (N, 3) array or Drift
+        Directions in camera axes at the middle of the exposure of the middle row, or the sources' own motion.
     line_time_s : float
         Delay between the starts of successive rows.
-    drift : Drift, optional
-        Motion of the sources themselves, in place of `directions`.
 
     Returns
     -------
@@ -88,7 +86,9 @@ def rolling_paths(
     The window of the row of the star's centre is used for its whole image. This neglects a shear of the image by
     velocity · line_time (2 % at 1,000 px/s and 20 µs), which is odd about the centre and does not shift the centroid.
     """
-    directions = np.atleast_2d(np.asarray(directions, dtype=float))
+    if not isinstance(sources, Drift):
+        sources = np.atleast_2d(np.asarray(sources, dtype=float))
+    count = len(sources.coefficients if isinstance(sources, Drift) else sources)
     rate = np.asarray(rate_rad_s, dtype=float)
     limit_rad = path_limit_rad(camera, margin_px)
     middle = (camera.height - 1) / 2.0
@@ -98,10 +98,10 @@ def rolling_paths(
     def position(t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, K, 2) and cosines (N, K) of the angle off the axis at moments (N, K)."""
         turning = rotation_matrices(-rate * t[..., None])
-        if drift is None:
-            vectors = np.einsum("nkij,nj->nki", turning, directions)
+        if isinstance(sources, Drift):
+            vectors = np.einsum("nkij,nkj->nki", turning, sources.at(t))
         else:
-            vectors = np.einsum("nkij,nkj->nki", turning, drift.at(t))
+            vectors = np.einsum("nkij,nj->nki", turning, sources)
         if shaking is not None:
             vectors = np.einsum("nkij,nkj->nki", rotation_matrices(-shaking(t)), vectors)
         return camera.project(vectors.reshape(-1, 3)).reshape(*t.shape, 2), vectors[..., 2]
@@ -111,17 +111,17 @@ def rolling_paths(
         return np.clip(position(t)[0][..., 1] - middle, -middle - margin_px, middle + margin_px)
 
     def moments(u: FloatArray) -> FloatArray:
-        return _moments_in_windows(rows, np.tile(u, (len(directions), 1)), line_time_s)
+        return _moments_in_windows(rows, np.tile(u, (count, 1)), line_time_s)
 
     ends = moments(np.array([-0.5, 0.5]) * exposure_s)
     exposed = np.abs(ends[:, 1] - ends[:, 0]) / exposure_s
     held = exposed < _LONGEST  # false for NaN
     exposed = np.where(held, exposed, 1.0)
     longest = float(exposed.max(initial=1.0))
-    if drift is None:
-        length_px = longest_path_px(camera, directions, -rate * exposure_s * longest, limit_rad)
+    if isinstance(sources, Drift):
+        length_px = longest_drift_px(camera, sources, rate, exposure_s * longest, limit_rad)
     else:
-        length_px = longest_drift_px(camera, drift, rate, exposure_s * longest, limit_rad)
+        length_px = longest_path_px(camera, sources, -rate * exposure_s * longest, limit_rad)
     cycles = 0.0
     if jitter is not None:
         length_px += wander_length_px(camera, jitter, exposure_s * longest, limit_rad)

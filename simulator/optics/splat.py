@@ -13,7 +13,7 @@ from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 
 def render_stars(
@@ -179,7 +179,7 @@ def add_tabulated(
             _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
 
 
-@kernel
+@kernel_part
 def _add_moments(moments: FloatArray, dx: float, dy: float, amount: float) -> None:
     """Add light at (dx, dy) from the centre of a pixel to the sums of 1, x, y, x², xy, y²."""
     moments[0] += amount
@@ -202,7 +202,7 @@ def _add_pixel(
     _add_stamp(image, work.stamp, pixel[0], pixel[1], wings.half)
 
 
-@kernel
+@kernel_part
 def _fill(stamp: FloatArray, amount: float) -> None:
     """Scale a stamp to a given amount of light."""
     held = stamp.sum()
@@ -210,7 +210,7 @@ def _fill(stamp: FloatArray, amount: float) -> None:
         stamp *= amount / held
 
 
-@kernel
+@kernel_part
 def _add_stamp(image: FloatArray, stamp: FloatArray, centre_x: int, centre_y: int, half: int) -> None:
     """Add the part of a square stamp that is on the image."""
     height, width = image.shape

@@ -9,7 +9,7 @@ import numpy as np
 
 from simulator.optics.psf_table import TAPER_PX, fade
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 
 class Wings(NamedTuple):
@@ -25,7 +25,7 @@ class Wings(NamedTuple):
     """Half of the side of the stamp, which contains the core."""
 
 
-@kernel
+@kernel_part
 def add_wings(
     image: FloatArray, lines: FloatArray, moments: FloatArray, pixel: tuple[int, int], radius: float, wings: Wings
 ) -> float:

@@ -19,7 +19,7 @@ from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
 from startracker.arrays import BoolArray, FloatArray
 from startracker.attitude import Attitude
 from startracker.camera import Camera
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
@@ -295,7 +295,7 @@ def _radiance(
         out[n] = sun_s10 * phase / (4.0 * math.pi) * share * math.exp(-RAYLEIGH_DEPTH * way_in)
 
 
-@kernel
+@kernel_part
 def _air_mass(cosine: float) -> float:
     """Air mass above a point at a zenith distance, relative to the vertical; half of the line of sight at 90°."""
     return 1.0 / (cosine + 2.0 / _AIR_MASSES * math.exp(-11.0 * cosine))

@@ -26,6 +26,7 @@ from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.observer import Observer
+from startracker.records import changed
 from startracker.settings import IdentificationSettings
 
 RESOLVED_PX = 2.0
@@ -57,10 +58,14 @@ class PairList:
         else:
             pairs = cKDTree(points).query_pairs(2.0 * math.sin(min(max_rad, math.pi) / 2.0), output_type="ndarray")
             i, j = pairs[:, 0], pairs[:, 1]
-        chord = np.linalg.norm(points[i] - points[j], axis=1)
-        separation = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
+        x, y, z = (points[i] - points[j]).T
+        separation = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y + z * z) / 2.0, 1.0))
         keep = np.flatnonzero((separation >= min_rad) & (separation <= max_rad))
-        order = keep[np.argsort(separation[keep], kind="stable")]
+        kept = separation[keep]
+        order = np.argsort(kept)  # a tenth of the time of a stable sort, which only equal separations need
+        if (np.diff(kept[order]) == 0.0).any():
+            order = np.argsort(kept, kind="stable")
+        order = keep[order]
         first, second = index[i[order]].astype(np.int32), index[j[order]].astype(np.int32)
         return cls(first, second, separation[order].astype(np.float32))
 
@@ -153,12 +158,12 @@ class GuideDatabase:
         if observer is None:
             return self
         years = observer.epoch_jyear - self.catalog.epoch_jyear
-        position = np.zeros(3) if observer.position_au is None else np.asarray(observer.position_au, dtype=float)
-        velocity = np.zeros(3) if observer.velocity_km_s is None else np.asarray(observer.velocity_km_s, dtype=float)
+        position = np.zeros(3) if observer.position_au is None else observer.position_au
+        velocity = np.zeros(3) if observer.velocity_km_s is None else observer.velocity_km_s
         parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
         start, motion = self._space_motion()
         directions = apparent_directions(start, motion, parallax, years, position, beta)
-        return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
+        return changed(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
     def rows_of(self, catalog_id: IntArray) -> IntArray:
         """Rows (M,) of stars by their numbers in the catalogue, which must be guide stars."""

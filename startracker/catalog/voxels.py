@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 from startracker.sorting import sort
 
 _STARS_PER_CUBE = 2.0
@@ -101,7 +101,7 @@ def stars_in_cone(
     return out[:count]
 
 
-@kernel
+@kernel_part
 def stars_around(
     matrix: FloatArray, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> tuple[IntArray, FloatArray]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 _SQRT_HALF = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
@@ -69,7 +69,7 @@ def window_moments(
     return m0, middle + mean, square - mean * mean, mean_c, mean_s, variance_c, variance_s
 
 
-@kernel
+@kernel_part
 def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[float, float]:
     """Centre of the pixel-integrated Gaussian whose mean over the window is `moment`, and d(centre)/d(moment).
 
@@ -124,7 +124,7 @@ def centres_of_means(sigma: float, half: int) -> FloatArray:
     return out
 
 
-@kernel
+@kernel_part
 def guess_centre(moment: float, table: FloatArray) -> float:
     """Centre by cubic interpolation in a table of `centres_of_means`, to some 1e-6 px; beyond it the moment."""
     mean, k = abs(moment), 0
@@ -140,7 +140,7 @@ def guess_centre(moment: float, table: FloatArray) -> float:
     return math.copysign(centre, moment) if math.isfinite(centre) else moment
 
 
-@kernel
+@kernel_part
 def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[float, float]:
     """Centre and width of the pixel-integrated Gaussian with this mean and variance over the window.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.centroid.psf_model import Samples
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 
 @kernel
@@ -52,7 +52,7 @@ def interpolated(
     return value, by_x * oversampling, by_y * oversampling
 
 
-@kernel
+@kernel_part
 def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: FloatArray, lines: FloatArray) -> None:
     """Light of a star in all pixels of a window, row by row, and its derivatives by dx and dy, to `out` (3, N).
 

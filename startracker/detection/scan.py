@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from startracker.arrays import IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 _LINE = 16
 """Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
@@ -43,30 +43,32 @@ UNFILTERED = kernel_half(np.ones(1))
 """The filter that changes nothing."""
 
 
-@kernel
+@kernel_part
 def _residual_row(image: Image, level: Plane, y: int, work: FloatImage, out: np.uint64) -> None:
     """Image minus level; zero where the image is not finite."""
-    share, lines, row, cell = level.share[y], level.lines, np.uint64(y), np.uint64(level.cell[y])
+    share, lines, row = level.share[y], level.lines, np.uint64(y)
+    cell = np.uint64(level.cell[y])
     below, zero = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.float32(0.0)
     for x in range(np.uint64(image.shape[1])):
         signal = np.float32(image[row, x]) - (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
         work[out + x] = signal if is_value(image[row, x]) else zero
 
 
-@kernel
+@kernel_part
 def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint64, width: int) -> None:
     """Correlation along x of a row that has zeros on both sides."""
     before, weight = row, half[0]
     for n in range(1, len(half) - 1, 2):
         near, far, k = half[n], half[n + 1], np.uint64(n)
-        a, b, c, d = row - k, row + k, row - k - np.uint64(1), row + k + np.uint64(1)
+        a, b, c = row - k, row + k, row - k - np.uint64(1)
+        d = row + k + np.uint64(1)
         for x in range(np.uint64(width)):
             value = weight * work[before + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
             work[out + x] = value
         before, weight = out, np.float32(1.0)
 
 
-@kernel
+@kernel_part
 def _filter_columns(
     work: FloatImage, rows: Places, half: FloatImage, out: np.uint64, least: np.uint64, marks: NDArray[np.uint8],
     width: int,
@@ -76,7 +78,8 @@ def _filter_columns(
     before, weight = rows[reach], half[0]
     for k in range(1, reach, 2):
         near, far = half[k], half[k + 1]
-        a, b, c, d = rows[reach - k], rows[reach + k], rows[reach - k - 1], rows[reach + k + 1]
+        a, b, c = rows[reach - k], rows[reach + k], rows[reach - k - 1]
+        d = rows[reach + k + 1]
         for x in range(np.uint64(width)):
             value = weight * work[before + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
             work[out + x] = value
@@ -84,7 +87,7 @@ def _filter_columns(
         before, weight = out, np.float32(1.0)
 
 
-@kernel
+@kernel_part
 def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64) -> None:
     """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond."""
     share, lines, cell = noise.share[y], noise.lines, np.uint64(noise.cell[y])
@@ -96,14 +99,15 @@ def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out:
         work[out + x] = threshold * value * less
 
 
-@kernel
+@kernel_part
 def _sample_row(
     work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, columns: tuple[int, int],
     sample: FloatImage, count: int,
 ) -> int:  # fmt: skip
     """Add the filtered signal over the noise of every `columns[1]`-th pixel of a row from `columns[0]` on; how many are
     in the sample."""
-    share, lines, row, cell = noise.share[y], noise.lines, np.uint64(y), np.uint64(noise.cell[y])
+    share, lines, row = noise.share[y], noise.lines, np.uint64(y)
+    cell = np.uint64(noise.cell[y])
     below, index = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(count)
     for x in range(np.uint64(columns[0]), np.uint64(image.shape[1]), np.uint64(columns[1])):
         sample[index] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
@@ -184,9 +188,10 @@ def _search(
     height, width = image.shape
     reach = len(half) - 1
     size = 2 * reach + 1
-    rows, total, least, residual = starts[:size], starts[size], starts[size + 1], starts[size + 2]
+    rows, total, least = starts[:size], starts[size], starts[size + 1]
+    residual = starts[size + 2]
     cell, cells, shares = -1, noise.cell, noise.share
-    count, samples, index = 0, 0, 0
+    count = samples = index = 0
     for y in range(height + reach + 1):
         newest = rows[0]
         for k in range(size - 1):
@@ -216,7 +221,7 @@ def _search(
     return count, samples
 
 
-@kernel
+@kernel_part
 def _collect_marked(
     words: Places, work: FloatImage, total: np.uint64, row: int, groups: Places, found: FloatImage, count: int
 ) -> int:
@@ -266,9 +271,12 @@ def _cut_groups(
     groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float, runs: IntArray, signal: FloatImage
 ) -> tuple[int, int]:
     """Fills `runs`, flat, and `signal` of `runs_above`, and how many these are."""
-    size, width, one, three = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1), np.uint64(3)
+    size, width, one = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1)
+    three = np.uint64(3)
     # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
-    edges, values, row, stop, inside, lines = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), False, noise.lines
+    edges, values, row = np.uint64(0), np.uint64(0), np.uint64(0)
+    stop, lines = np.uint64(0), noise.lines
+    inside = False
     for n in range(np.uint64(len(groups))):
         if inside and (groups[n, 0] != row or groups[n, 1] != stop):
             runs[three * (edges >> one) + np.uint64(2)] = stop

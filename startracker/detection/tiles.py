@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 Tile = tuple[int, int, int, int]
 """First row, last row + 1, first column, last column + 1."""
@@ -123,13 +123,13 @@ def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width:
     return centre + mean, math.sqrt(max(squares / n - mean * mean, 0.0)), n
 
 
-@kernel
+@kernel_part
 def _clip(spread: float, step: float) -> float:
     """Half width of the clipping; it never falls between neighbouring values."""
     return _CLIP * max(spread, step * _ROUNDING) + 0.5 * step
 
 
-@kernel
+@kernel_part
 def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float32]) -> int:
     """Every so manyth pixel of a tile's rows, and how many are finite; each row begins farther than the one before.
 

@@ -20,6 +20,7 @@ Matrix: TypeAlias = list[list[Real]]
 _ONE = 1 << 30
 _TERMS = 8
 _MOST_PARTS = 64
+_ROUNDING = -28
 _HALF = Real(1, -1)
 
 
@@ -64,7 +65,7 @@ def propagate(
     angle = [value * part for value in rate]
     transition, noise = _transition(omega, speed, part, sign, psd)
     for _ in range(parts):
-        covariance = _symmetric(_plus(_between(transition, covariance), noise))
+        covariance = _transformed(transition, covariance, noise)
         quaternion = turned_quaternion(quaternion, angle)
     return quaternion, covariance
 
@@ -123,13 +124,23 @@ def correct(covariance: Matrix, innovation: Vector, noise: Matrix) -> Correction
         [wide[i][0] * gain[j][0] + wide[i][1] * gain[j][1] + wide[i][2] * gain[j][2] for j in range(6)]
         for i in range(6)
     ]
-    return Correction(distance2, white, change, _symmetric(_plus(_between(left, covariance), added)))
+    return Correction(distance2, white, change, _transformed(left, covariance, added))
 
 
-def _between(a: Matrix, p: Matrix) -> Matrix:
-    """A P Aᵀ, all (6, 6)."""
+def _transformed(a: Matrix, p: Matrix, added: Matrix) -> Matrix:
+    """A P Aᵀ and a symmetric matrix, all (6, 6).
+
+    A share of 2⁻²⁸ of the terms (2⁻²⁴ in single precision) is added to the variances, in which the roundings of all are
+    lost: where an attitude is far better known than predicted, a variance of the rate could become negative.
+    """
     first = [[_row(a[i], [p[k][j] for k in range(6)]) for j in range(6)] for i in range(6)]
-    return [[_row(first[i], a[j]) for j in range(6)] for i in range(6)]
+    made = _symmetric([[_row(first[i], a[j]) + added[i][j] for j in range(6)] for i in range(6)])
+    for i in range(6):
+        terms = ZERO
+        for k in range(6):
+            terms = terms + a[i][k] * a[i][k] * p[k][k]
+        made[i][i] = made[i][i] + terms.scaled(_ROUNDING)
+    return made
 
 
 def _row(a: Vector, b: Vector) -> Real:
@@ -137,10 +148,6 @@ def _row(a: Vector, b: Vector) -> Real:
     for x, y in zip(a, b, strict=True):
         total = total + x * y
     return total
-
-
-def _plus(a: Matrix, b: Matrix) -> Matrix:
-    return [[x + y for x, y in zip(p, q, strict=True)] for p, q in zip(a, b, strict=True)]
 
 
 def _symmetric(a: Matrix) -> Matrix:

@@ -12,8 +12,8 @@ from startracker.flight.front_tables import BLOCK, FrontTables
 
 LEAST_NOISE = 18
 """Of rounding, 1/√12, 6 fraction bits."""
-GAINS = (0, 1, 2, 2, 3)
-"""Weights of the first blocks and, the last, of all further ones: 2^-gain."""
+_GAIN = 2
+"""Weight of a block, 2^-gain; those of the first ones are 1 and 1/2."""
 _LARGEST_LEVEL = 65535
 
 
@@ -22,6 +22,8 @@ class Lines(NamedTuple):
 
     level: IntArray
     noise: IntArray
+    slope: IntArray
+    """Of the level along y, DN a row."""
 
 
 def square_root(n: IntArray) -> IntArray:
@@ -35,25 +37,27 @@ def background_lines(image: NDArray[np.uint16], tables: FrontTables) -> Lines:
     """Background in the knots of all rows.
 
     Each tile of 4 rows gives a clipped mean and standard deviation, which pass a median of three along x; along y the
-    level follows them with a slope (an alpha-beta filter of 1/8 and 1/128; 1/2 and 1/4 for the first blocks), the noise
-    exponentially, and both begin again after a step.
+    level follows them with a slope (an alpha-beta filter of 1/4 and 1/32), the noise exponentially. A level off by more
+    than half of the noise is taken as it is, and changes the slope by a quarter of the difference (a gradient that
+    begins); by more than four times the noise it is a step, after which the slope begins at zero.
     """
     height = len(image)
     tiles = len(tables.edge) - 1
     blocks = max(1, height // BLOCK)
     found = np.array([_tile_statistics(image, tables, tile) for tile in range(tiles)])  # (C, 2, blocks)
     level, noise = _median_of_three(found[:, 0].T), _median_of_three(found[:, 1].T)
-    levels, noises = np.empty((height, tiles), np.int64), np.empty((height, tiles), np.int64)
+    levels, noises, slopes = (np.empty((height, tiles), np.int64) for _ in range(3))
     x, v, n = level[0] << 4, np.zeros(tiles, np.int64), noise[0] << 6
     for block in range(blocks):
         if block > 0:
-            x, v, n = _follow((x, v, n), level[block] << 4, noise[block] << 6, GAINS[min(block, len(GAINS) - 1)])
+            x, v, n = _follow((x, v, n), level[block] << 4, noise[block] << 6, min(block, _GAIN))
         last = height if block == blocks - 1 else BLOCK * (block + 1)
         rows = np.arange(BLOCK * block, last)[:, None]
         moved = x + ((v * (2 * (rows - BLOCK * block) - BLOCK + 1)) >> 3)
         levels[rows[:, 0]] = np.clip(moved, 0, _LARGEST_LEVEL << 12) >> 4
-        noises[rows[:, 0]] = n >> 4
-    return Lines(_extended(levels, tables.extend), np.pad(noises, ((0, 0), (1, 1)), "edge"))
+        noises[rows[:, 0]], slopes[rows[:, 0]] = n >> 4, v >> 6
+    ends = (0, 0), (1, 1)
+    return Lines(_extended(levels, tables.extend), np.pad(noises, ends, "edge"), np.pad(slopes, ends, "edge"))
 
 
 def _tile_statistics(image: NDArray[np.uint16], tables: FrontTables, tile: int) -> tuple[IntArray, IntArray]:
@@ -103,9 +107,9 @@ def _follow(
     """Level, slope and noise after another block, 12 fraction bits; `gain` in bits to the right."""
     x, v, n = state
     ahead = level - x - v
-    step = np.abs(ahead) > 2 * n
-    x = np.where(step, level, np.clip(x + v + (ahead >> gain), 0, _LARGEST_LEVEL << 12))
-    v = np.where(step, 0, v + (ahead >> 7))
+    lost, step = np.abs(ahead) > n >> 1, np.abs(ahead) > 4 * n
+    x = np.where(lost, level, np.clip(x + v + (ahead >> gain), 0, _LARGEST_LEVEL << 12))
+    v = np.where(step, 0, v + (ahead >> np.where(lost, 2, 5)))
     changed = (noise > 2 * n) | (2 * noise < n)
     return x, v, np.where(changed, noise, n + ((noise - n) >> gain))
 

@@ -20,10 +20,10 @@ from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.formats import Integers, divide
 from startracker.fixed_point.vectors import DIRECTION
+from startracker.flight.apparent import FlightObserver, apparent, guide_motion
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import (
     GridTables,
-    aberrated,
     grid_tables,
     plane_of,
     project,
@@ -48,6 +48,7 @@ _MANY, _LEAST_SCALE2 = 10, 41
 _GATE2 = 3505  # 3.7², 8 fraction bits
 _FREEDOM = 1477  # 1/(2 ln 2), the squared median of a Rayleigh distribution, of 11 fraction bits
 _NEAR = 1 << 20  # 16 px
+_LARGEST_COVARIANCE = 1 << COVARIANCE_BITS  # a square radian
 _LARGEST_RESIDUAL, _LARGEST_COLUMN, _LARGEST_VARIANCE = (1 << 19) - 1, (1 << 16) - 1, 1 << 42
 _LEAST_DETERMINANT = 1 << 31  # 1/2
 _LARGEST_UNKNOWN = 1 << 27  # of 2.30: 0.125
@@ -60,6 +61,8 @@ class PoseTables(NamedTuple):
 
     guide: Integers
     """Directions of 2.30, brightest first, (G, 3)."""
+    motion: Integers
+    """Proper motions a year, unit vectors of 29 fraction bits, (G, 3)."""
     grid: GridTables
     priors: FitPriors
     radius_bits: int
@@ -115,6 +118,7 @@ def pose_tables(design: FlightDesign) -> PoseTables:
     one = float(1 << 36)
     return PoseTables(
         DIRECTION.encode(guide.directions, rounded=True),
+        guide_motion(guide),
         grid,
         fit_priors(float(1 << radius_bits)),
         radius_bits,
@@ -169,7 +173,9 @@ def pose_arrays(t: PoseTables) -> list[CTable]:
     ]
 
 
-def solve_pose(stars: StarList, guide: Integers, start: Integers, velocity: Integers, t: PoseTables) -> Pose | None:
+def solve_pose(
+    stars: StarList, guide: Integers, start: Integers, observer: FlightObserver, t: PoseTables
+) -> Pose | None:
     """Attitude of identified stars, and of all others that agree.
 
     Parameters
@@ -180,16 +186,15 @@ def solve_pose(stars: StarList, guide: Integers, start: Integers, velocity: Inte
         Guide star with which each is identified, −1 for none.
     start : int array, shape (3, 3)
         Attitude of the identification, 2.30, right to about eight pixels.
-    velocity : int array, shape (3,)
-        Of the observer over that of light, ICRS axes, 2.30.
+    observer : FlightObserver
     t : PoseTables
 
     Returns
     -------
-    Pose, or None if fewer than two stars are identified or they determine no attitude.
+    Pose, or None if fewer than two stars are identified or they determine no attitude to a radian.
     """
     seen = _Seen(stars, t)
-    numbers, directions = _field(start, velocity, t)
+    numbers, directions = _field(start, observer, t)
     position = np.full(len(t.guide), -1)
     position[numbers] = np.arange(len(numbers))
     used = np.where((guide >= 0) & seen.usable, position[guide], -1)
@@ -217,7 +222,10 @@ def solve_pose(stars: StarList, guide: Integers, start: Integers, velocity: Inte
             break
         used = index
     assert found is not None
-    return Pose(matrix, quaternion_of(matrix), _covariance(found, t), np.where(last >= 0, numbers[last], -1))
+    covariance = _covariance(found, t)
+    if max(np.diag(covariance)) >= _LARGEST_COVARIANCE:
+        return None
+    return Pose(matrix, quaternion_of(matrix), covariance, np.where(last >= 0, numbers[last], -1))
 
 
 class _Seen:
@@ -247,13 +255,12 @@ class _Seen:
         return np.asarray((self.slopes * moved[:, None, :]).sum(axis=2) >> 16)
 
 
-def _field(matrix: Integers, velocity: Integers, t: PoseTables) -> tuple[Integers, Integers]:
+def _field(matrix: Integers, observer: FlightObserver, t: PoseTables) -> tuple[Integers, Integers]:
     """Guide stars on the image or its border (K,), the brightest, and their apparent directions (K, 3)."""
     plane, ahead = project(matrix, t.guide, t.grid)
     on_image = ahead & (np.abs(plane[:, 0]) <= t.grid.half[0] + t.margin)
     numbers = np.flatnonzero(on_image & (np.abs(plane[:, 1]) <= t.grid.half[1] + t.margin))[: t.most_field]
-    directions = t.guide[numbers]
-    return numbers, aberrated(directions, velocity) if velocity.any() else directions
+    return numbers, apparent(t.guide[numbers], t.motion[numbers], observer)
 
 
 def _matched_again(

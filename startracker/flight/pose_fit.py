@@ -171,6 +171,7 @@ class _Average:
 
     def __init__(self) -> None:
         self.highest: Real | None = None
+        self.origin = [ZERO] * 3  # rotation of the first model: the differences are small, their squares as well
         self.weight = self.factor = self.systematic = self.shear2 = ZERO
         self.mean = [ZERO] * UNKNOWNS
         self.square = [[ZERO] * 3 for _ in range(3)]
@@ -180,6 +181,7 @@ class _Average:
         share = ONE
         if self.highest is None:
             self.highest = log_weight
+            self.origin = mean[:3]
         else:
             apart = log_weight - self.highest
             if apart.integer(PRIOR_BITS) < -_NEGLIGIBLE:
@@ -190,6 +192,7 @@ class _Average:
             else:
                 share = power_of_2(apart)
         self.weight = self.weight + share
+        mean = [*(value - origin for value, origin in zip(mean, self.origin, strict=False)), *mean[3:]]
         for k, value in enumerate(mean):
             self.mean[k] = self.mean[k] + share * value
         scaled = share * scale
@@ -220,7 +223,8 @@ class _Average:
         covariance = [[self.square[i][j] * share - mean[i] * mean[j] for j in range(3)] for i in range(3)]
         # a shear is also half a rotation, which residuals do not show
         covariance[2][2] = covariance[2][2] + self.shear2 * share
-        return Fit(mean, covariance, self.factor * share, self.systematic * share)
+        step = [*(origin + value for origin, value in zip(self.origin, mean, strict=False)), *mean[3:]]
+        return Fit(step, covariance, self.factor * share, self.systematic * share)
 
 
 def median(values: list[int]) -> int:

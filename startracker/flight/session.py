@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from startracker.flight.directions import quaternion_of
 from startracker.flight.following import COASTING, REJECTED, TIME_BAD, Following, FollowingTables
-from startracker.flight.search import FlightPrior
+from startracker.flight.hypotheses import FlightPrior
 from startracker.flight.solver import FlightAnswer, FlightTracker
 from startracker.flight.stars import StarList
 
@@ -46,13 +46,19 @@ class FlightSession:
         self.tracker, self.following = tracker, Following(tables)
 
     def update_stars(
-        self, stars: StarList, time_us: int, *, velocity: ArrayLike | None = None, gyro: Sequence[int] | None = None
+        self,
+        stars: StarList,
+        time_us: int,
+        *,
+        velocity: ArrayLike | None = None,
+        epoch: int | None = None,
+        gyro: Sequence[int] | None = None,
     ) -> Followed:
         """Attitude of a list of stars measured at a time.
 
         Parameters
         ----------
-        stars, velocity
+        stars, velocity, epoch
             As in `FlightTracker.solve_stars`.
         time_us : int
             Middle of the exposure, microseconds of a uniform clock.
@@ -64,7 +70,7 @@ class FlightSession:
             return Followed(time, COASTING, None)
         matrix, radius = self.following.prior()
         prior = FlightPrior(matrix, radius) if radius else None
-        answer = self.tracker.solve_stars(stars, velocity=velocity, prior=prior)
+        answer = self.tracker.solve_stars(stars, velocity=velocity, epoch=epoch, prior=prior)
         if not answer.solved:
             return Followed(time, COASTING, answer)
         result = self.following.update(answer.matrix, answer.covariance)

@@ -9,14 +9,15 @@ from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.display import described
-from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS
+from startracker.flight.apparent import flight_observer
 from startracker.flight.design import FlightDesign
-from startracker.flight.directions import FASTEST, GridTables, plane_of, vectors_of
+from startracker.flight.directions import GridTables, plane_of, vectors_of
 from startracker.flight.evidence import sight
 from startracker.flight.front_end import FrontTables, front_tables, measure_frame
+from startracker.flight.hypotheses import FlightPrior, Reason
 from startracker.flight.pose import COVARIANCE_BITS, PoseTables, pose_tables, solve_pose
-from startracker.flight.search import FlightPrior, Found, Reason, identify
+from startracker.flight.search import Found, identify
 from startracker.flight.search_tables import SearchTables, search_tables
 from startracker.flight.stars import StarList
 from startracker.solution import Status
@@ -35,7 +36,6 @@ _STATUS = {
 """All others are `Status.NO_MATCH`."""
 SATURATED_PART = 20
 """An unsolved frame with more than one saturated pixel in this many is called saturated (`survey.SATURATED_SHARE`)."""
-_AT_REST = np.zeros(3, np.int64)
 
 
 class FlightAnswer(NamedTuple):
@@ -134,7 +134,12 @@ class FlightTracker:
         return self.pose_tables.grid
 
     def solve(
-        self, image: ArrayLike, *, velocity: ArrayLike | None = None, prior: FlightPrior | None = None
+        self,
+        image: ArrayLike,
+        *,
+        velocity: ArrayLike | None = None,
+        epoch: int | None = None,
+        prior: FlightPrior | None = None,
     ) -> FlightAnswer:
         """Attitude from the pixels of a frame.
 
@@ -142,25 +147,30 @@ class FlightTracker:
         ----------
         image : uint16 array, shape (H, W)
             DN.
-        velocity, prior
+        velocity, epoch, prior
             As in `solve_stars`.
 
         Raises
         ------
         InputError
-            For an array of another shape or type, or a faster observer.
+            For an array of another shape or type, a faster observer, or an epoch too far away.
         """
         frame = measure_frame(image, self.front_tables)
         if frame.lowest == frame.highest:
             none = Found(Reason.FRAME_UNIFORM, np.zeros((3, 3), np.int64), np.empty(0, np.int64))
             return _unsolved(none, Reason.FRAME_UNIFORM)
-        answer = self.solve_stars(frame.stars, velocity=velocity, prior=prior)
+        answer = self.solve_stars(frame.stars, velocity=velocity, epoch=epoch, prior=prior)
         if not answer.solved and frame.saturated * SATURATED_PART > np.size(image):
             answer = answer._replace(status=Status.SATURATED, reason=Reason.SATURATED_SHARE)
         return answer
 
     def solve_stars(
-        self, stars: StarList, *, velocity: ArrayLike | None = None, prior: FlightPrior | None = None
+        self,
+        stars: StarList,
+        *,
+        velocity: ArrayLike | None = None,
+        epoch: int | None = None,
+        prior: FlightPrior | None = None,
     ) -> FlightAnswer:
         """Attitude from a list of stars.
 
@@ -170,23 +180,25 @@ class FlightTracker:
             Brightest first; the first `DetectionSettings.max_stars` are used.
         velocity : int array, shape (3,), optional
             Of the observer over that of light, ICRS axes, 2.30; at most 2⁻¹⁰ on each axis. None: no aberration.
+        epoch : int, optional
+            Julian epoch (TT) of the frame, years of 16 fraction bits, within 100 years of the tables'
+            (`SearchTables.epoch`). None: that of the tables.
         prior : FlightPrior, optional
 
         Raises
         ------
         InputError
-            For a faster observer.
+            For a faster observer, or an epoch too far away.
         """
-        beta = _AT_REST if velocity is None else np.asarray(velocity, dtype=np.int64).reshape(3)
-        if np.abs(beta).max() > FASTEST:
-            raise InputError("velocities over that of light are at most 2**-10 on each axis, as integers 2**20")
+        observer = flight_observer(velocity, epoch, self.search_tables.epoch)
         stars = stars.take(np.arange(min(len(stars.x), self.search_tables.most_stars)))
         plane, seen = plane_of(np.column_stack([stars.x, stars.y]), self.grid)
         direction = vectors_of(plane, self.grid)
-        found = identify(sight(stars, direction, seen, self.search_tables), len(seen), beta, prior, self.search_tables)
+        sighted = sight(stars, direction, seen, self.search_tables)
+        found = identify(sighted, len(seen), observer, prior, self.search_tables)
         if found.reason is not Reason.ACCEPTED:
             return _unsolved(found, found.reason)
-        pose = solve_pose(stars, found.guide, found.matrix, beta, self.pose_tables)
+        pose = solve_pose(stars, found.guide, found.matrix, observer, self.pose_tables)
         if pose is None:
             return _unsolved(found, Reason.POSE_FAILED)
         number = np.where(pose.guide >= 0, self.search_tables.number[pose.guide], 0)

@@ -8,7 +8,16 @@ import numpy as np
 
 from startracker.fixed_point.c_table import braced
 from startracker.flight.solver import FlightAnswer, FlightTracker
-from startracker.flight.unit_scenes import REACH, SEED, VELOCITY, scene_numbers, scene_rows, unit_lists, unit_scenes
+from startracker.flight.unit_scenes import (
+    REACH,
+    SEED,
+    VELOCITY,
+    YEARS,
+    scene_numbers,
+    scene_rows,
+    unit_lists,
+    unit_scenes,
+)
 from startracker.solution import Status
 
 FLOAT_TOLERANCE = 1 << 14
@@ -20,11 +29,13 @@ def unit_test_data(tracker: FlightTracker) -> str:
     """Text of ``test_data.h``: lists, frames, and what the reference answers."""
     design = tracker.design
     lists, scenes, numbers = unit_lists(design), unit_scenes(design), scene_numbers(design)
-    list_answers = [tracker.solve_stars(stars, velocity=VELOCITY) for stars in lists]
+    epoch = tracker.search_tables.epoch + YEARS
+    list_answers = [tracker.solve_stars(stars, velocity=VELOCITY, epoch=epoch) for stars in lists]
     frames = [scene_rows(design, scene, SEED + n).astype(np.uint16) for n, scene in enumerate(scenes)]
-    frame_answers = [tracker.solve(frame, velocity=VELOCITY) for frame in frames]
+    frame_answers = [tracker.solve(frame, velocity=VELOCITY, epoch=epoch) for frame in frames]
     macros = {
         "TOLERANCE": FLOAT_TOLERANCE if design.arithmetic == "float" else 0,
+        "EPOCH": epoch,
         "LISTS": len(lists),
         "FRAMES": len(scenes),
         "LEVEL": numbers.level,

@@ -17,6 +17,8 @@ from startracker.flight.stars import StarList
 
 VELOCITY = (19000, -14000, 11000)
 """Of the observer over that of light, 2.30: 7.6 km/s."""
+YEARS = 4 << 16
+"""Between the tables and the frames, 16 fraction bits."""
 SEED = 20260
 REACH, EIGHTHS = 6, 8
 NOISE_SHARE = 4.0

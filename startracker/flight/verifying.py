@@ -16,7 +16,8 @@ import numpy as np
 from startracker.arrays import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
 from startracker.fixed_point.vectors import quotient
-from startracker.flight.directions import aberrated, turned
+from startracker.flight.apparent import FlightObserver, apparent
+from startracker.flight.directions import turned
 from startracker.flight.evidence import LOG_UP, Match, Sight, log_down, weigh
 from startracker.flight.integers import cross, shifted
 from startracker.flight.search_tables import QUADRANT, SQUARE_BITS, SearchTables
@@ -38,7 +39,7 @@ _FARTHEST2 = 1 << 54  # squared chord of 7°
 
 
 class Field(NamedTuple):
-    """Guide stars of a field, brightest first: numbers (K,), directions (K, 3) with aberration, V (K,)."""
+    """Guide stars of a field, brightest first: numbers (K,), apparent directions (K, 3), V (K,)."""
 
     guide: IntArray
     direction: IntArray
@@ -67,15 +68,12 @@ class Verified(NamedTuple):
     steps: int
 
 
-def field_at(matrix: IntArray, velocity: IntArray, most: int, t: SearchTables) -> Field:
+def field_at(matrix: IntArray, observer: FlightObserver, most: int, t: SearchTables) -> Field:
     """Guide stars on the image at an attitude, the brightest `most` of them."""
     axes = (t.outline_axes @ matrix) >> 30
     seen = (t.guide @ axes.T) >> 30
     index = np.flatnonzero(inside(seen, t))[:most]
-    direction = t.guide[index]
-    if velocity.any():
-        direction = aberrated(direction, velocity)
-    return Field(index, direction, t.magnitude[index])
+    return Field(index, apparent(t.guide[index], t.motion[index], observer), t.magnitude[index])
 
 
 def inside(seen: IntArray, t: SearchTables) -> IntArray:
@@ -168,7 +166,7 @@ def _step(normal: _Normal) -> IntArray | None:
     return None if int(np.abs(step).max()) > _LARGEST_TURN else step
 
 
-def verify(start: IntArray, wide: int, seen: Sight, velocity: IntArray, t: SearchTables) -> Verified:
+def verify(start: IntArray, wide: int, seen: Sight, observer: FlightObserver, t: SearchTables) -> Verified:
     """Match, refit until the match no longer changes, and compute the evidence, for each gate in turn.
 
     Parameters
@@ -178,12 +176,11 @@ def verify(start: IntArray, wide: int, seen: Sight, velocity: IntArray, t: Searc
     wide : int
         Row of `GATES`.
     seen : Sight
-    velocity : (3,)
-        Of the observer over that of light, 2.30.
+    observer : FlightObserver
     t : SearchTables
     """
     n = len(seen)
-    field = field_at(start, velocity, min(2 * n + MOST_EXTRA, t.seeing.shape[1] - 1), t)
+    field = field_at(start, observer, min(2 * n + MOST_EXTRA, t.seeing.shape[1] - 1), t)
     depth, steps, matrix = len(field.guide), STEPS, start
     none = np.full(n, -1, np.int64)
     best = Verified(NEVER, start, none, 0, steps)

@@ -26,8 +26,7 @@ def identify_around(
 ) -> tuple[Identification, bool]:
     """The result with the stronger evidence, and whether it contradicts the prior."""
     found = identify(observed, guide, settings, prior)
-    accepted = is_beyond_doubt(found, settings, WITHIN_PRIOR_BEYOND)
-    if prior is None or accepted or found.status not in _DOUBTFUL:
+    if prior is None or found.status not in _DOUBTFUL or is_beyond_doubt(found, settings, WITHIN_PRIOR_BEYOND):
         return found, False
     elsewhere = identify(observed, guide, settings, None)
     operations = found.operations + elsewhere.operations

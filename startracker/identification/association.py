@@ -12,7 +12,7 @@ from startracker.catalog.voxels import VoxelGrid, stars_on_image
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.identification.verification import nearest_unique
 from startracker.image_map import ImageMap, to_pixels
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import transform
 from startracker.sorting import median
 
@@ -64,7 +64,7 @@ def matched_again(
     return pairs[:count], same and count == len(used)
 
 
-@kernel
+@kernel_part
 def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: FloatArray, known: bool) -> float:
     """Standard error in units of the stated one: median of the residuals' lengths, corrected for the three fitted."""
     length = np.empty(len(used))

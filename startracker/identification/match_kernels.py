@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import BoolArray, FloatArray, IntArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 from startracker.linalg import triple_product
 
 WordArray = NDArray[np.uint64]
@@ -150,7 +150,7 @@ def collect(w: Windows, group: IntArray, count: int) -> tuple[IntArray, IntArray
     return start, members
 
 
-@kernel
+@kernel_part
 def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
     """Which of a group's members support each other, beside the kernel's observed and guide star `seen` (2,)."""
     obs, gid = group.observed, group.guide
@@ -177,7 +177,7 @@ def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
         group.order[at] = last
 
 
-@kernel
+@kernel_part
 def _clique(group: _Group, count: int, seed: int, clique: IntArray) -> int:
     """Members that all support each other, from a seed on, those with most support first; how many."""
     clique[0], length = seed, 1
@@ -192,7 +192,7 @@ def _clique(group: _Group, count: int, seed: int, clique: IntArray) -> int:
     return length
 
 
-@kernel
+@kernel_part
 def _square_sum(pairs: IntArray, shapes: Shapes) -> float:
     """Sum of the squared differences of chords between couples (M, 2), rad²."""
     total = 0.0

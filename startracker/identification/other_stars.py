@@ -17,7 +17,7 @@ from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
 from startracker.identification.occupancy import Occupancy, is_occupied
 from startracker.identification.search_state import Candidates, Stars
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 _MANY = 100.0
 _MOST_OTHERS = 48
@@ -83,14 +83,14 @@ def midpoint_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
     frame[2, 0], frame[2, 1], frame[2, 2] = sy * dz - sz * dy, sz * dx - sx * dz, sx * dy - sy * dx
 
 
-@kernel
+@kernel_part
 def room() -> Others:
     """Empty arrays for the other stars."""
     n = _MOST_OTHERS
     return Others(np.empty((3, n)), np.empty(n), np.empty(n, np.uint8), np.empty((3, 3)))
 
 
-@kernel
+@kernel_part
 def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Others) -> int:
     """Write the brightest stars except j, k and i into `others`, in the frame of the pair j, k; how many.
 
@@ -127,7 +127,7 @@ def _position(others: Others, star: int, shrink: float) -> tuple[float, float, f
     return x, y, z
 
 
-@kernel
+@kernel_part
 def enough_matches(
     u: FloatArray, w: FloatArray, shrink: float, others: Others, count: int, need: int, sky: SkyView, map_: Occupancy
 ) -> bool:
@@ -170,7 +170,7 @@ def least_matches(mean: float, chance: float) -> int:
     return matches
 
 
-@kernel
+@kernel_part
 def _attitude_of_pair(stars: Stars, j: int, k: int, focal: float, u: FloatArray, w: FloatArray) -> FloatArray:
     """Attitude (3, 3) that takes the midpoint of two guide directions and their difference to two observed stars'."""
     out, ends, seen, known = np.zeros((3, 3)), np.empty((2, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -186,7 +186,7 @@ def _attitude_of_pair(stars: Stars, j: int, k: int, focal: float, u: FloatArray,
     return out
 
 
-@kernel
+@kernel_part
 def next_confirmed(
     candidates: Candidates, start: int, stars: Stars, sky: SkyView, confirmation: Confirmation, work: float
 ) -> tuple[int, FloatArray, float]:

@@ -13,7 +13,7 @@ from startracker.catalog.voxels import star_within
 from startracker.estimation.directions import normal_equations, pair_rotation
 from startracker.identification.pattern_table import BINS, EMPTY, SIZE_STEPS, PatternTable, home_slot, sorted_edges
 from startracker.identification.verification import is_known, rotation_cosine
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import chord, rotate_back, solve, transform, triple_product, turned
 
 SIGMAS = 2.3
@@ -71,7 +71,7 @@ class PatternFinds(NamedTuple):
     focal: FloatArray
 
 
-@kernel
+@kernel_part
 def next_set(stars: IntArray) -> None:
     """Go on to the next set of four (ascending), the faintest star changing last, so that the brightest come first."""
     for i in range(4):
@@ -82,7 +82,7 @@ def next_set(stars: IntArray) -> None:
             return
 
 
-@kernel
+@kernel_part
 def lookup_shape(
     edges: FloatArray, tolerance: float, focal_range: float, table: PatternTable, found: IntArray
 ) -> tuple[int, int]:
@@ -135,7 +135,7 @@ def lookup_shape(
         at[k] += 1
 
 
-@kernel
+@kernel_part
 def correspondence(
     observed: FloatArray, reference: FloatArray, tolerance: float, sense: float, order: IntArray
 ) -> float:
@@ -193,7 +193,7 @@ def correspondence(
     return 0.0 if mirrored and largest > sense else scale
 
 
-@kernel
+@kernel_part
 def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
     """Rotation (3, 3) of four or so pairs of unit vectors, reference to observed: least squares.
 
@@ -215,7 +215,7 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
     return matrix
 
 
-@kernel
+@kernel_part
 def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
     """Directions with their angle to the axis divided by a factor: what a focal length that much longer sees."""
     out = np.empty_like(vectors)
@@ -228,14 +228,14 @@ def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
     return out
 
 
-@kernel
+@kernel_part
 def _log_chance(matches: int, looked: int, share: float) -> float:
     """ln of Chernoff's bound on so many matches of so many stars, each with probability `share` (Poisson)."""
     mean = max(looked * share, 1e-12)
     return matches * math.log(mean / matches) + matches - mean if matches > mean else 0.0
 
 
-@kernel
+@kernel_part
 def _matches(
     matrix: FloatArray, vectors: FloatArray, gate: FloatArray, a: int, b: int, c: int, d: int, sky: SkyView
 ) -> tuple[int, int]:
@@ -253,7 +253,7 @@ def _matches(
     return matches, looked
 
 
-@kernel
+@kernel_part
 def _guides(slot: int, table: PatternTable, sky: SkyView, out: FloatArray) -> None:
     """Directions (4, 3) of a pattern's guide stars."""
     for i in range(4):
@@ -340,7 +340,7 @@ def search_patterns(
     return count, patterns, work
 
 
-@kernel
+@kernel_part
 def _keep(finds: PatternFinds, count: int, score: float, matrix: FloatArray, focal: float) -> int:
     """Add a candidate; where there is no room the worst gives way. An attitude that repeats one keeps the better."""
     at = count

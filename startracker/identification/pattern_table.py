@@ -28,7 +28,7 @@ from startracker.camera import Camera
 from startracker.catalog import cache
 from startracker.catalog.guide import GuideDatabase, field_of
 from startracker.catalog.stars import StarCatalog
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import chord
 
 FORMAT = 1
@@ -101,7 +101,7 @@ def sorted_edges(a: float, b: float, c: float, d: float, e: float, f: float, out
         out[j + 1] = value
 
 
-@kernel
+@kernel_part
 def shape_key(edges: FloatArray) -> int:
     """Key of six ascending edges (6,): five binned ratios to the largest."""
     key = 0

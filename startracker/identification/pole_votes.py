@@ -22,7 +22,7 @@ from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.identification.search_plan import MOST_VOTES
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, grown, window
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 from startracker.sorting import median
 
 BearingArray = NDArray[np.uint16]
@@ -122,7 +122,7 @@ def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
     votes[star, 3] |= old & carry
 
 
-@kernel
+@kernel_part
 def _neighbours(pole: int, nearest: IntArray, stars: Stars, pairs: Pairs, limits: Limits) -> _Neighbours:
     """Those of the nearest stars whose separation and bearing are useful."""
     n, wide, count = len(nearest), limits.focal_range, 0
@@ -146,7 +146,7 @@ def _neighbours(pole: int, nearest: IntArray, stars: Stars, pairs: Pairs, limits
     )
 
 
-@kernel
+@kernel_part
 def _mark_elected(neighbours: _Neighbours, need: int, pairs: Pairs, counts: VoteCounts) -> int:
     """Count the votes for each guide star and roll, and mark the stars that have as many as needed; how many."""
     votes, zero, one, count = counts.votes, np.uint64(0), np.uint64(1), 0
@@ -167,7 +167,7 @@ def _mark_elected(neighbours: _Neighbours, need: int, pairs: Pairs, counts: Vote
     return count
 
 
-@kernel
+@kernel_part
 def _voters(
     pole: int,
     neighbours: _Neighbours,
@@ -204,7 +204,7 @@ def _voters(
     return Candidates(rows[:count], focal[:count])
 
 
-@kernel
+@kernel_part
 def _agreeing(x: int, voters: Candidates, neighbours: _Neighbours, head: Int32Array, wide: bool) -> tuple[int, int]:
     """Neighbours' votes, its own included, that agree with a vote in roll and focal length; votes compared."""
     rows, focal = voters.stars, voters.focal

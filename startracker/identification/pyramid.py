@@ -27,7 +27,7 @@ from startracker.identification.hypothesis import SCALES, HypothesisPool, too_fe
 from startracker.identification.kvector import KVector, find_range, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import chord, rotate_back, triple_product
 from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status
@@ -169,7 +169,7 @@ def smart_triples(n: int) -> IntArray:
     return out
 
 
-@kernel
+@kernel_part
 def _confirming(
     seen: Seen, sky: SkyView, rotation: FloatArray, corners: IntArray, guides: IntArray, wanted: int
 ) -> tuple[int, int]:
@@ -235,7 +235,7 @@ class _Finds(NamedTuple):
     found: IntArray
 
 
-@kernel
+@kernel_part
 def _partners(pairs: GuidePairs, low: int, high: int) -> tuple[IntArray, IntArray]:
     """Partners of each guide star over some pairs, as chains that begin at its `head`: the next link, the partner."""
     chain, partner = np.empty(2 * (high - low), np.int64), np.empty(2 * (high - low), np.int64)
@@ -248,7 +248,7 @@ def _partners(pairs: GuidePairs, low: int, high: int) -> tuple[IntArray, IntArra
     return chain, partner
 
 
-@kernel
+@kernel_part
 def _keep(finds: _Finds, rotation: FloatArray, matches: int) -> None:
     """Insert a confirmed triangle in the order of its matches, if there is room."""
     slot = min(finds.found[0], _MOST_FINDS - 1)
@@ -261,7 +261,7 @@ def _keep(finds: _Finds, rotation: FloatArray, matches: int) -> None:
     finds.found[0] = min(finds.found[0] + 1, _MOST_FINDS)
 
 
-@kernel
+@kernel_part
 def _laid_on(observed: FloatArray, reference: FloatArray, sides: FloatArray) -> FloatArray:
     """Attitude (3, 3) of a triangle by its longest side, of i–j, i–k, j–k."""
     one, other = 1, 2
@@ -273,7 +273,7 @@ def _laid_on(observed: FloatArray, reference: FloatArray, sides: FloatArray) -> 
     return rotation
 
 
-@kernel
+@kernel_part
 def _triangle(
     seen: Seen, corners: IntArray, pairs: GuidePairs, sky: SkyView, least: int, budget: int, finds: _Finds
 ) -> int:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 from startracker.linalg import triple_product
 from startracker.sorting import order_of
 
@@ -114,7 +114,7 @@ def first_triangles(vectors: FloatArray, diagonal_rad: float, count: int) -> Int
     return out
 
 
-@kernel
+@kernel_part
 def _triangle(triple: IntArray, stars: Stars, scale: float) -> _Triangle:
     i, j, k = triple
     ij = chord_angle(stars.vectors[i], stars.vectors[j])
@@ -133,7 +133,7 @@ def _triangle(triple: IntArray, stars: Stars, scale: float) -> _Triangle:
     return _Triangle(i, j, k, ij, ik, jk, error_ij, error_ik, error_jk)
 
 
-@kernel
+@kernel_part
 def _chained(
     pairs: Pairs, low: int, high: int, fainter_by: float, v_mag: FloatArray, tolerance: float, head: Int32Array
 ) -> tuple[Int32Array, Int32Array]:
@@ -155,7 +155,7 @@ def _chained(
     return following, partner
 
 
-@kernel
+@kernel_part
 def _joined(
     pairs: Pairs, low: int, high: int, fainter_by: float, v_mag: FloatArray, tolerance: float, head: Int32Array
 ) -> tuple[Int32Array, Int32Array]:
@@ -171,7 +171,7 @@ def _joined(
     return at_i[:count], at_j[:count]
 
 
-@kernel
+@kernel_part
 def _focal_of(t: _Triangle, v: FloatArray, u: FloatArray, w: FloatArray) -> float:
     """ln of the focal length's factor by which a triangle of guide stars has the observed size; NaN where its sides
     do not agree on one."""
@@ -183,7 +183,7 @@ def _focal_of(t: _Triangle, v: FloatArray, u: FloatArray, w: FloatArray) -> floa
     return (ij * t.ij + ik * t.ik + jk * t.jk) / (t.ij + t.ik + t.jk)
 
 
-@kernel
+@kernel_part
 def _add_similar(
     t: _Triangle,
     stars: Stars,

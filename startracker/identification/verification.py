@@ -15,7 +15,7 @@ from startracker.estimation.directions import normal_equations
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import rotate_back, solve, transform, turned
 from startracker.sorting import sort
 
@@ -152,7 +152,7 @@ def _same(one: IntArray, other: IntArray) -> bool:
     return differ == 0
 
 
-@kernel
+@kernel_part
 def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
     """Guide stars on the image at an attitude, the brightest `most` of them."""
     x, y, z = rotate_back(matrix, sky.shape.axes[2])
@@ -186,7 +186,7 @@ def _focused(stars: Stars, focal: float) -> FloatArray:
     return observed
 
 
-@kernel
+@kernel_part
 def _settle(
     matrix: FloatArray, focal: float, stars: Stars, field: _Field, step: float, widen: float, unknowns: int
 ) -> _Fit:
@@ -228,7 +228,7 @@ def _settle(
     return _Fit(matrix, focal, observed, index, count, _ROUNDS)
 
 
-@kernel
+@kernel_part
 def _weigh(fit: _Fit, stars: Stars, field: _Field, area: float, unknowns: int) -> tuple[float, float]:
     """ln B of a match by the last fit's own residuals, and the multiple of the stated errors that explains it best."""
     observed, index, distance = fit.observed, fit.guide, np.empty(len(fit.guide))

@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.kernels import kernel
+from startracker.kernels import kernel_part
 from startracker.linalg import inverse, transform, turned
 
 
-@kernel
+@kernel_part
 def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> float:
     """ln of the likelihood ratio of matches, averaged over the detection limit and the number of true stars.
 
@@ -47,7 +47,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> 
     return highest + math.log(total / in_field)
 
 
-@kernel
+@kernel_part
 def log_evidence(
     observed: FloatArray,
     sigma: FloatArray,

@@ -12,7 +12,7 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.estimation.directions import normal_equations
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, transform
 
 _SMALL = 0.03
@@ -21,7 +21,7 @@ BLIND = 1e-12
 """Relative limit of the information about an axis, below which it is rounding error: a single star gives no roll."""
 
 
-@kernel
+@kernel_part
 def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Φ, ∫Φ, ∫∫Φ and ∫ (∫Φ)(∫Φ)ᵀ over a step at a constant rate, each (3, 3).
 
@@ -158,7 +158,7 @@ def correct(
     return float(np.sum(innovation * weighed)), gain @ innovation, 0.5 * (out + out.T), white
 
 
-@kernel
+@kernel_part
 def _whitened(spread: FloatArray, vector: FloatArray) -> FloatArray:
     """L⁻¹ of a vector (3,) with L Lᵀ its covariance (3, 3), L lower triangular; NaN if it is not positive definite."""
     out = np.full(3, np.nan)

@@ -18,7 +18,7 @@ from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
 from startracker.estimation.directions import fit_turn
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import cross, inverse, transform, turned
 from startracker.tracking.evidence import log_evidence
 
@@ -106,7 +106,7 @@ class Match(NamedTuple):
     owner: IntArray
 
 
-@kernel
+@kernel_part
 def tangent(p: FloatArray, u: FloatArray, v: FloatArray) -> None:
     """Two unit vectors perpendicular to a unit vector p, written to u and v = p × u."""
     if abs(p[0]) < 0.7:
@@ -250,7 +250,7 @@ def track(
     return match.partner, -turn, posterior, evidence
 
 
-@kernel
+@kernel_part
 def _consensus(
     observed: FloatArray, sigma: FloatArray, predicted: FloatArray, covariance: FloatArray, spread: Spread
 ) -> FloatArray:
@@ -286,7 +286,7 @@ def _consensus(
     return best_turn
 
 
-@kernel
+@kernel_part
 def _turn_of_one(
     covariance: FloatArray,
     spread: Spread,

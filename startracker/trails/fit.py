@@ -12,7 +12,7 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import RING_SHARE
 from startracker.detection.values import is_value
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import factorise, substitute
 from startracker.trails.model import (
     ANGLE,
@@ -231,7 +231,7 @@ def _shift(p: FloatArray, along: float, across: float) -> None:
     p[Y] += along * sin + across * cos
 
 
-@kernel
+@kernel_part
 def _strongest_beside(residual: FloatImage, noise: Plane, p: FloatArray) -> tuple[FloatArray, float]:
     """Where beside a bright trail, whose light is subtracted, another one is likeliest, and its signal-to-noise ratio.
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 FloatImage = NDArray[np.float32]
 
@@ -68,7 +68,7 @@ def _row_spans(p: FloatArray, beyond: float, beside: float, height: int, width: 
     return top, spans
 
 
-@kernel
+@kernel_part
 def window_pixels(residual: FloatImage, noise: Plane, p: FloatArray, slack: float) -> FloatArray:
     """Columns x, y, value and variance (4, N) of the usable pixels about a trail."""
     beyond, beside = p[HALF] + _BEYOND_SIGMAS * p[SIGMA] + slack, _ACROSS_SIGMAS * p[SIGMA] + 1.0
@@ -191,7 +191,7 @@ def normal_equations(work: FloatArray, size: int, normal: FloatArray, right: Flo
             normal[i, j] = total
 
 
-@kernel
+@kernel_part
 def set_light(pixels: FloatArray, p: FloatArray, work: FloatArray) -> None:
     """Set flux and sky to what suits the other parameters, in which the light is linear."""
     p[FLUX], p[SKY] = 1.0, 0.0
@@ -223,7 +223,7 @@ def subtract_trail(residual: FloatImage, p: FloatArray, sign: float) -> None:
             residual[top + j, x] -= np.float32(unit * along * _decay(0.5 * t * t))
 
 
-@kernel
+@kernel_part
 def is_near(p: FloatArray, other: FloatArray) -> bool:
     """Whether the light of another trail reaches into the window of a trail."""
     cos, sin = math.cos(p[ANGLE]), math.sin(p[ANGLE])

@@ -29,7 +29,8 @@ def _with_code(pages: list[Path]) -> list[Path]:
 
 @pytest.mark.parametrize("page", _with_code(QUICK), ids=lambda page: page.stem)
 @pytest.mark.filterwarnings("default")  # as a user runs them
-def test_blocks_of_page_run(page, tmp_path, monkeypatch):
+def test_blocks_of_page_run(page, tmp_path, monkeypatch, no_drawing):
+    """Their figures are drawn in the tests of each command; here it would be half of the time."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     with workspace(tmp_path):
         run_page(page)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
@@ -17,6 +19,13 @@ def undrawn() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FigureCanvasSVG, "print_svg", lambda _, stream, **__: stream.write("<svg></svg>"))
-        patch.setattr(Figure, "savefig", lambda _, stream, **__: stream.write(b"a picture"))
+        patch.setattr(Figure, "savefig", _saved)
         patch.setattr(PdfPages, "savefig", lambda *_: None)
         yield
+
+
+def _saved(_: object, target: str | Path | BinaryIO, **__: object) -> None:
+    if isinstance(target, str | Path):
+        Path(target).write_bytes(b"a picture")
+    else:
+        target.write(b"a picture")

@@ -20,6 +20,7 @@ from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.estimation.wahba import quest
 from startracker.fixed_point.c_table import CTable
+from startracker.flight.apparent import FlightObserver
 from startracker.flight.directions import grid_arrays, grid_constants
 from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants, pose_tables, solve_pose
 from startracker.flight.stars import StarList
@@ -38,7 +39,7 @@ class Frame(NamedTuple):
     stars: StarList
     guide: np.ndarray
     start: np.ndarray
-    velocity: np.ndarray
+    seen_by: FlightObserver
     truth: np.ndarray
     observer: Observer
 
@@ -58,7 +59,8 @@ def frame(guide, rng, kind="stated"):
     """Stars of a random attitude with errors of the stated sizes, or of a `kind` that differs from them."""
     velocity = rng.normal(size=3)
     velocity *= 30.0 / np.linalg.norm(velocity)
-    observer = Observer(2026.0, velocity)
+    years = float(rng.uniform(-8.0, 8.0))
+    observer = Observer(2026.0 + years, velocity)
     seen = guide.seen_by(observer)
     while True:
         truth = Rotation.random(random_state=rng).as_matrix()
@@ -87,7 +89,7 @@ def frame(guide, rng, kind="stated"):
     stars = StarList.of(measured, np.full(len(sigma), 1000.0), sigma**2)
     start = Rotation.from_rotvec(rng.normal(size=3) * [1e-4, 1e-4, 1e-3]).as_matrix() @ truth
     fixed = [np.rint(values * ONE).astype(np.int64) for values in (start, velocity / SPEED_OF_LIGHT_KM_S)]
-    return Frame(stars, named, fixed[0], fixed[1], truth, observer)
+    return Frame(stars, named, fixed[0], FlightObserver(fixed[1], round(years * 65536)), truth, observer)
 
 
 def error(matrix, truth):
@@ -112,7 +114,7 @@ def test_errors_and_covariance_beside_star_tracker(guide, tables, kind):
     rng, ours, theirs, same, nees, ratio = stream(1, "pose", KINDS.index(kind)), [], [], [], [], []
     for _ in range(40):
         given = frame(guide, rng, kind)
-        pose = solve_pose(given.stars, given.guide, given.start, given.velocity, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
         refined = refined_pose(guide, given)
         away, other = error(pose.matrix / ONE, given.truth), error(refined.matrix, given.truth)
         covariance = pose.covariance / 2.0**60
@@ -134,7 +136,7 @@ def test_a_blend_and_a_false_identification_are_not_fitted(guide, tables):
     rng = stream(2, "pose")
     for _ in range(20):
         given = frame(guide, rng, "outliers")
-        pose = solve_pose(given.stars, given.guide, given.start, given.velocity, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
         assert pose.guide[1] == -1  # 1 to 2 px away on both axes
         assert pose.guide[0] >= 0  # found again
         assert np.linalg.norm(error(pose.matrix / ONE, given.truth)[:2]) < 2e-5
@@ -146,7 +148,7 @@ def test_the_attitude_beside_scipy(guide, tables):
     rng, apart = stream(3, "pose"), []
     for _ in range(20):
         given = frame(guide, rng)
-        pose = solve_pose(given.stars, given.guide, given.start, given.velocity, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
         used = pose.guide >= 0
         sky = guide.seen_by(given.observer).directions[pose.guide[used]]
         camera = CAMERA.unproject(given.stars.xy_px[used])
@@ -159,9 +161,9 @@ def test_the_attitude_beside_scipy(guide, tables):
 def test_too_few_stars_and_a_rolling_shutter(guide, tables):
     given = frame(guide, stream(4, "pose"))
     none = np.full(len(given.guide), -1)
-    assert solve_pose(given.stars, none, given.start, given.velocity, tables) is None
+    assert solve_pose(given.stars, none, given.start, given.seen_by, tables) is None
     one = np.where(np.arange(len(none)) == 0, given.guide, -1)
-    assert solve_pose(given.stars, one, given.start, given.velocity, tables) is None
+    assert solve_pose(given.stars, one, given.start, given.seen_by, tables) is None
     rolling = Camera(4870.0, 4870.0, 511.5, 511.5, 1024, 1024, row_time_s=1e-5)
     with pytest.raises(InputError, match="global shutter"):
         pose_tables(SimpleNamespace(camera=rolling, guide=guide))
@@ -193,7 +195,8 @@ class Built:
     def __init__(self, folder, tables, arithmetic, compiler="gcc", extra=SANITIZED):
         constants = {"MAX_STARS": MAX_STARS, "SEARCH_KEPT": 4, **grid_constants(tables.grid), **pose_constants(tables)}
         sky = CTable("int32_t", "guide_direction", "guide stars", tables.guide)
-        arrays = [sky, *grid_arrays(tables.grid), *pose_arrays(tables)]
+        motion = CTable("int16_t", "guide_motion", "their proper motions", tables.motion)
+        arrays = [sky, motion, *grid_arrays(tables.grid), *pose_arrays(tables)]
         self.lib = library(folder, POSE_MODULES, constants, arrays, extra, compiler, arithmetic, MORE)
         self.memory = ctypes.create_string_buffer(self.lib.tracker_pose_bytes())
 
@@ -202,12 +205,10 @@ class Built:
         columns = zip(*(column.tolist() for column in given.stars), strict=True)
         stars = (Star * max(len(given.guide), 1))(*(Star(*row) for row in columns))
         guide = (ctypes.c_int16 * MAX_STARS)(*given.guide.tolist())
-        velocity, matrix = (
-            (ctypes.c_int32 * 3)(*given.velocity.tolist()),
-            (ctypes.c_int32 * 9)(*given.start.ravel().tolist()),
-        )
+        observer = (ctypes.c_int32 * 4)(*given.seen_by.velocity.tolist(), given.seen_by.years)
+        matrix = (ctypes.c_int32 * 9)(*given.start.ravel().tolist())
         covariance = (ctypes.c_int64 * 9)()
-        used = self.lib.tracker_solve_pose(self.memory, stars, len(given.guide), guide, velocity, matrix, covariance)
+        used = self.lib.tracker_solve_pose(self.memory, stars, len(given.guide), guide, observer, matrix, covariance)
         shape = np.array(matrix, np.int64).reshape(3, 3), np.array(covariance, np.int64).reshape(3, 3)
         return used, np.array(guide[: len(given.guide)], np.int64), *shape
 
@@ -234,7 +235,8 @@ def wild(guide, rng):
     elif kind == 5:
         turn = Rotation.from_rotvec(rng.normal(size=3) * 10.0 ** rng.uniform(-4, -1)).as_matrix()
         start = np.rint(turn @ (given.start / ONE) * ONE).astype(np.int64)
-        given = given._replace(start=start, velocity=rng.integers(-(1 << 20), (1 << 20) + 1, 3))
+        velocity, years = rng.integers(-(1 << 20), (1 << 20) + 1, 3), int(rng.integers(-100, 101)) << 16
+        given = given._replace(start=start, seen_by=FlightObserver(velocity, years))
     return given._replace(stars=stars)
 
 
@@ -242,7 +244,7 @@ def check_bits(built, guide, tables, rng, count):
     solved = 0
     for k in range(count):
         given = wild(guide, rng) if k % 2 else frame(guide, rng, KINDS[k // 2 % len(KINDS)])
-        pose = solve_pose(given.stars, given.guide, given.start, given.velocity, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
         used, numbers, matrix, covariance = built.solve(given)
         assert (used > 0) == (pose is not None), k
         if pose is None:
@@ -275,7 +277,7 @@ def test_single_precision_is_close(guide, tables, tmp_path):
     built, rng, apart, same = Built(tmp_path, tables, "float"), stream(7, "pose"), [], 0
     for k in range(60):
         given = frame(guide, rng, KINDS[k % len(KINDS)])
-        pose = solve_pose(given.stars, given.guide, given.start, given.velocity, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
         used, numbers, matrix, covariance = built.solve(given)
         assert used > 0
         if not np.array_equal(numbers, pose.guide):

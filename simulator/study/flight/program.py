@@ -69,7 +69,11 @@ def velocity_of(velocity_km_s: ArrayLike | None) -> tuple[int, ...]:
 
 
 def list_text(
-    stars: StarList, velocity: Sequence[int] = (0, 0, 0), prior: Sequence[int] = (), time_us: int | None = None
+    stars: StarList,
+    velocity: Sequence[int] = (0, 0, 0),
+    prior: Sequence[int] = (),
+    time_us: int | None = None,
+    epoch: int | None = None,
 ) -> str:
     """A list as the program reads it.
 
@@ -82,8 +86,12 @@ def list_text(
         Matrix of 2.30 by rows, and the radius with 28 fraction bits.
     time_us : int, optional
         Of a sequence.
+    epoch : int, optional
+        Julian epoch, years of 16 fraction bits; None: that of the tables.
     """
     lines = [f"velocity {' '.join(map(str, velocity))}"]
+    if epoch is not None:
+        lines.append(f"epoch {epoch}")
     if time_us is not None:
         lines.append(f"time {time_us}")
     if len(prior):
@@ -114,9 +122,12 @@ class FlightProgram:
         self.export = flight_export(design)
         self.build: Build = compile_export(self.export, folder, target)
 
-    def frames(self, images: Sequence[NDArray[np.generic]], velocity: Sequence[int] = (0, 0, 0)) -> list[ProgramAnswer]:
-        """Answers for frames with the same velocity of the observer."""
-        words = ["frames", *map(str, velocity)]
+    def frames(
+        self, images: Sequence[NDArray[np.generic]], velocity: Sequence[int] = (0, 0, 0), epoch: int = 0
+    ) -> list[ProgramAnswer]:
+        """Answers for frames with the same velocity of the observer and Julian epoch, years of 16 fraction bits (0: the
+        tables')."""
+        words = ["frames", *map(str, velocity), str(epoch)]
         printed = self.build.run(b"".join(map(frame_bytes, images)), *words)
         return [parse_answer(line) for line in printed.decode().splitlines()]
 

@@ -4,6 +4,11 @@
 #define ONE ((int64_t)1 << 30)
 #define TERMS 8
 #define MOST_PARTS 64
+#ifdef TRACKER_FLOAT
+#define ROUNDING (-24)
+#else
+#define ROUNDING (-28)
+#endif
 
 static tracker_real scaled(tracker_real x, int exponent)
 {
@@ -93,12 +98,18 @@ static tracker_real row_product(const tracker_real *a, const tracker_real *b)
     return total;
 }
 
-/* p becomes A P A' + added, symmetric. */
+/* p becomes A P A' + added, symmetric. A share of the terms is added to the variances, in which the roundings of all are
+ * lost: where an attitude is far better known than predicted, a variance of the rate could become negative. */
 static void transform(tracker_real a[6][6], tracker_real p[6][6], tracker_real added[6][6])
 {
-    tracker_real first[6][6], column[6];
+    tracker_real first[6][6], column[6], terms[6];
     int i, j, k;
 
+    for (i = 0; i < 6; i++) {
+        terms[i] = tracker_zero();
+        for (k = 0; k < 6; k++)
+            terms[i] = tracker_add(terms[i], tracker_times(tracker_times(a[i][k], a[i][k]), p[k][k]));
+    }
     for (j = 0; j < 6; j++) {
         for (k = 0; k < 6; k++)
             column[k] = p[k][j];
@@ -108,9 +119,11 @@ static void transform(tracker_real a[6][6], tracker_real p[6][6], tracker_real a
     for (i = 0; i < 6; i++)
         for (j = 0; j < 6; j++)
             p[i][j] = tracker_add(row_product(first[i], a[j]), added[i][j]);
-    for (i = 0; i < 6; i++)
+    for (i = 0; i < 6; i++) {
         for (j = 0; j <= i; j++)
             p[i][j] = p[j][i] = scaled(tracker_add(p[i][j], p[j][i]), -1);
+        p[i][i] = tracker_add(p[i][i], scaled(terms[i], ROUNDING));
+    }
 }
 
 /* A step: its powers 1, t, t^2, t^3, the rate in rad/s, the rotation vector. */

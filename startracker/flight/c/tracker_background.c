@@ -122,17 +122,19 @@ static int32_t limited(int64_t value, int32_t most)
 /* One tile after another block; levels of 12 fraction bits. */
 static void follow_tile(struct tracker_front_block *block, int tile, int32_t level, int32_t noise, int gain)
 {
-    int32_t ahead = level - block->level[tile] - block->slope[tile], least = 2 * block->noise[tile];
+    int32_t ahead = level - block->level[tile] - block->slope[tile], before = block->noise[tile];
+    int lost = tracker_magnitude(ahead) > before >> 1;
 
-    if (gain == 0 || ahead > least || ahead < -least) {
+    if (gain == 0 || lost)
         block->level[tile] = level;
-        block->slope[tile] = 0;
-    } else {
+    else
         block->level[tile] = limited((int64_t)block->level[tile] + block->slope[tile] + tracker_shift_right(ahead, gain),
                                      LARGEST_LEVEL << 12);
-        block->slope[tile] += (int32_t)tracker_shift_right(ahead, 7);
-    }
-    if (gain == 0 || noise > least || 2 * noise < block->noise[tile])
+    if (gain == 0 || tracker_magnitude(ahead) > 4 * before)
+        block->slope[tile] = 0;
+    else
+        block->slope[tile] += (int32_t)tracker_shift_right(ahead, lost ? 2 : 5);
+    if (gain == 0 || noise > 2 * before || 2 * noise < before)
         block->noise[tile] = noise;
     else
         block->noise[tile] += (int32_t)tracker_shift_right(noise - block->noise[tile], gain);
@@ -140,7 +142,6 @@ static void follow_tile(struct tracker_front_block *block, int tile, int32_t lev
 
 void tracker_front_follow(struct tracker_front_rows *rows, int32_t block, int32_t count)
 {
-    static const uint8_t gains[] = {0, 1, 2, 2, 3};
     struct tracker_front_block *next = &rows->block[block % TRACKER_FRONT_KEPT];
     int32_t level[TRACKER_FRONT_TILES], noise[TRACKER_FRONT_TILES];
     int32_t last = block * TRACKER_FRONT_BLOCK + count - 1;
@@ -154,7 +155,7 @@ void tracker_front_follow(struct tracker_front_rows *rows, int32_t block, int32_
         side = tile > 0 && tile < TRACKER_FRONT_TILES - 1;
         follow_tile(next, tile, 16 * (side ? median(level[tile - 1], level[tile], level[tile + 1]) : level[tile]),
                     64 * (side ? median(noise[tile - 1], noise[tile], noise[tile + 1]) : noise[tile]),
-                    gains[block < 4 ? block : 4]);
+                    block < 2 ? block : 2);
     }
 }
 
@@ -182,6 +183,7 @@ void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
         line->level[tile + 1] =
             limited(block->level[tile] + tracker_shift_right(moved, 3), LARGEST_LEVEL << 12) >> 4;
         line->noise[tile + 1] = block->noise[tile] >> 4;
+        line->slope[tile + 1] = (int32_t)tracker_shift_right(block->slope[tile], 6);
     }
     tile = TRACKER_FRONT_TILES > 1;
     line->level[0] = extended(line->level[1], line->level[1 + tile], 0);
@@ -189,6 +191,8 @@ void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
         extended(line->level[TRACKER_FRONT_TILES], line->level[TRACKER_FRONT_TILES - tile], 1);
     line->noise[0] = line->noise[1];
     line->noise[TRACKER_FRONT_TILES + 1] = line->noise[TRACKER_FRONT_TILES];
+    line->slope[0] = line->slope[1];
+    line->slope[TRACKER_FRONT_TILES + 1] = line->slope[TRACKER_FRONT_TILES];
 }
 
 int tracker_front_cell(int32_t x)
@@ -205,4 +209,30 @@ int32_t tracker_front_between(const int32_t *knots, int cell, int32_t x)
     int64_t rise = (int64_t)(knots[cell + 1] - knots[cell]) * tracker_front_inverse[cell];
 
     return knots[cell] + (int32_t)tracker_shift_right(rise * (x - tracker_front_knot[cell]), 16);
+}
+
+/* A pixel without the rise of the background, in whole DN; it remains saturated, or not. */
+static uint16_t without(uint16_t value, int32_t rise)
+{
+    const int32_t most = TRACKER_FRONT_SATURATION - 1 < UINT16_MAX ? TRACKER_FRONT_SATURATION - 1 : UINT16_MAX;
+
+    return value < TRACKER_FRONT_SATURATION ? (uint16_t)limited((int64_t)value - rise, most) : value;
+}
+
+void tracker_front_level(const struct tracker_front_rows *rows, int cell, struct tracker_front_candidate *candidate)
+{
+    const int32_t *level = rows->line.level;
+    const int32_t across =
+        (int32_t)tracker_shift_right((int64_t)(level[cell + 1] - level[cell]) * tracker_front_inverse[cell], 16);
+    const int32_t down = tracker_front_between(rows->line.slope, cell, candidate->x);
+    int32_t rise;
+    int i, j;
+
+    for (j = 0; j < TRACKER_FRONT_SIDE; j++)
+        for (i = 0; i < TRACKER_FRONT_SIDE; i++) {
+            uint16_t *value = &candidate->stamp[j * TRACKER_FRONT_SIDE + i];
+            rise = across * (i - TRACKER_FRONT_HALF) + down * (j - TRACKER_FRONT_HALF);
+            if (tracker_front_inside(candidate, i, j))
+                *value = without(*value, (int32_t)tracker_shift_right(rise + 128, 8));
+        }
 }

@@ -137,6 +137,20 @@ void tracker_aberrate(const struct tracker_vector *direction, const struct track
     to_vector(d, apparent);
 }
 
+void tracker_apparent(const int32_t direction[3], const int16_t motion[3], const struct tracker_observer *observer,
+                      struct tracker_vector *apparent)
+{
+    const struct tracker_vector *velocity = &observer->velocity;
+    int64_t moved[3];
+    int k;
+
+    for (k = 0; k < 3; k++)
+        moved[k] = direction[k] + tracker_shift_right((int64_t)motion[k] * observer->years, 15);
+    to_vector(moved, apparent);
+    if (velocity->x != 0 || velocity->y != 0 || velocity->z != 0)
+        tracker_aberrate(apparent, velocity, apparent);
+}
+
 int tracker_turn(struct tracker_matrix *attitude, int64_t x, int64_t y, int64_t z)
 {
     int64_t row[3][3], first[3], third[3], along;

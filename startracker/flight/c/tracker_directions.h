@@ -23,6 +23,10 @@ int tracker_project(const struct tracker_matrix *attitude, const struct tracker_
 void tracker_aberrate(const struct tracker_vector *direction, const struct tracker_vector *velocity,
                       struct tracker_vector *apparent);
 
+/* Apparent direction of a guide star of a direction (2.30) and a proper motion a year (29 fraction bits). */
+void tracker_apparent(const int32_t direction[3], const int16_t motion[3], const struct tracker_observer *observer,
+                      struct tracker_vector *apparent);
+
 /* Rotates an attitude by small angles of 2.30 about the camera's axes, as a rotation vector (v becomes v - angle x v);
  * 0: they are too large. */
 int tracker_turn(struct tracker_matrix *attitude, int64_t x, int64_t y, int64_t z);

@@ -64,6 +64,14 @@ static enum tracker_time check_time(struct tracker_following *f, int64_t time_us
     return later ? TRACKER_TIME_SET_BACK : TRACKER_TIME_BAD;
 }
 
+/* Microseconds from one time to a later one, at most LONGEST_US + 1. */
+static int64_t elapsed(int64_t from, int64_t to)
+{
+    const uint64_t apart = (uint64_t)to - (uint64_t)from;
+
+    return apart > LONGEST_US ? LONGEST_US + 1 : (int64_t)apart;
+}
+
 static int propagate(struct tracker_following *f, int64_t step_us, int measured)
 {
     const int64_t extra = measured ? 0 : TRACKER_FOLLOWING_EXTRA_PSD;
@@ -133,7 +141,7 @@ enum tracker_time tracker_following_predict(struct tracker_following *following,
     int k;
 
     if (status != TRACKER_TIME_BAD) {
-        step_us = !f->has_time || status == TRACKER_TIME_SET_BACK ? 0 : time_us - f->time_us;
+        step_us = !f->has_time || status == TRACKER_TIME_SET_BACK ? 0 : elapsed(f->time_us, time_us);
         if (status == TRACKER_TIME_SET_BACK)
             forget(f);
         f->time_us = time_us;

@@ -3,13 +3,24 @@
 
 #define FASTEST (1 << 20)
 
-void tracker_start(struct tracker_context *context, const struct tracker_frame_info *info)
+/* Who sees the guide stars; what makes products overflow is left out. */
+static struct tracker_observer observer_of(const struct tracker_frame_info *info)
 {
     const struct tracker_vector *v = &info->velocity, at_rest = {0, 0, 0};
+    const int64_t years = info->epoch != 0 ? (int64_t)info->epoch - TRACKER_EPOCH : 0, most = TRACKER_MOST_YEARS * (int64_t)65536;
+    struct tracker_observer observer;
 
-    context->info = *info;
+    observer.velocity = *v;
     if (v->x > FASTEST || v->x < -FASTEST || v->y > FASTEST || v->y < -FASTEST || v->z > FASTEST || v->z < -FASTEST)
-        context->info.velocity = at_rest; /* products would overflow */
+        observer.velocity = at_rest;
+    observer.years = years >= -most && years <= most ? (int32_t)years : 0;
+    return observer;
+}
+
+void tracker_start(struct tracker_context *context, const struct tracker_frame_info *info)
+{
+    context->info = *info;
+    context->observer = observer_of(info);
     context->star_count = 0;
     tracker_front_start(&context->work.front);
 }

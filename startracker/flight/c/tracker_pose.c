@@ -22,6 +22,7 @@
 #define COLUMN_ONE 16384
 #define DOWN (TRACKER_POSE_RADIUS_BITS + 2)
 #define COVARIANCE_BITS 60
+#define LARGEST_COVARIANCE ((int64_t)1 << 60) /* a square radian */
 
 static int32_t clipped(int64_t value, int32_t largest)
 {
@@ -95,7 +96,8 @@ static void take_stars(struct tracker_pose *pose, const struct tracker_star *sta
     }
 }
 
-static void find_field(struct tracker_pose *pose, const struct tracker_matrix *attitude, const struct tracker_vector *velocity)
+static void find_field(struct tracker_pose *pose, const struct tracker_matrix *attitude,
+                       const struct tracker_observer *observer)
 {
     const int64_t axis[3] = {attitude->row[2].x, attitude->row[2].y, attitude->row[2].z};
     struct tracker_vector direction;
@@ -115,10 +117,7 @@ static void find_field(struct tracker_pose *pose, const struct tracker_matrix *a
             || tracker_magnitude(plane[1]) > (int64_t)TRACKER_GRID_HALF_V + TRACKER_POSE_MARGIN)
             continue;
         pose->number[pose->in_field] = (uint16_t)guide;
-        if (velocity->x != 0 || velocity->y != 0 || velocity->z != 0)
-            tracker_aberrate(&direction, velocity, &pose->direction[pose->in_field]);
-        else
-            pose->direction[pose->in_field] = direction;
+        tracker_apparent(at, tracker_guide_motion[guide], observer, &pose->direction[pose->in_field]);
         pose->in_field++;
     }
 }
@@ -336,15 +335,20 @@ static void correct(struct tracker_pose *pose)
     }
 }
 
+static int64_t covariance_of(const struct tracker_pose_fit *fit, int k, int j)
+{
+    return tracker_integer_of(tracker_times(tracker_times(fit->covariance[k][j], scale_of(k)), scale_of(j)), COVARIANCE_BITS);
+}
+
 int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *star, int count,
-                       int16_t guide[TRACKER_MAX_STARS], const struct tracker_vector *velocity,
+                       int16_t guide[TRACKER_MAX_STARS], const struct tracker_observer *observer,
                        struct tracker_matrix *attitude, int64_t covariance[3][3])
 {
     struct tracker_matrix fitted = *attitude;
     int n, k, j, round, fewest;
 
     take_stars(pose, star, count);
-    find_field(pose, attitude, velocity);
+    find_field(pose, attitude, observer);
     for (n = 0; n < count; n++) {
         pose->used[n] = -1;
         for (k = 0; k < pose->in_field; k++)
@@ -369,9 +373,11 @@ int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *sta
             pose->used[n] = pose->index[n];
     }
     for (k = 0; k < 3; k++)
+        if (covariance_of(&pose->fit, k, k) >= LARGEST_COVARIANCE)
+            return 0;
+    for (k = 0; k < 3; k++)
         for (j = 0; j <= k; j++)
-            covariance[k][j] = covariance[j][k] = tracker_integer_of(
-                tracker_times(tracker_times(pose->fit.covariance[k][j], scale_of(k)), scale_of(j)), COVARIANCE_BITS);
+            covariance[k][j] = covariance[j][k] = covariance_of(&pose->fit, k, j);
     for (n = 0; n < count; n++)
         guide[n] = pose->used[n] >= 0 ? (int16_t)pose->number[pose->used[n]] : (int16_t)-1;
     *attitude = fitted;

@@ -27,14 +27,14 @@ struct tracker_pose {
  *
  * star         `count` stars of the frame, at most TRACKER_MAX_STARS
  * guide        guide star with which each is identified, -1 for none; replaced by the one that it was fitted to
- * velocity     of the observer over that of light, ICRS axes
+ * observer     who sees the guide stars
  * attitude     of the identification, right to about eight pixels; replaced by the fitted one
  * covariance   of the rotation vector in camera axes, square radians of 60 fraction bits
  *
- * The number of fitted stars; 0, with nothing replaced, if fewer than two are identified or they determine no attitude.
+ * The number of fitted stars; 0, with nothing replaced, if fewer than two are identified or they determine no attitude to a radian.
  * At most 10 fits and 11 comparisons of all stars with TRACKER_POSE_MAX_FIELD guide stars, one pass over all guide stars. */
 int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *star, int count,
-                       int16_t guide[TRACKER_MAX_STARS], const struct tracker_vector *velocity,
+                       int16_t guide[TRACKER_MAX_STARS], const struct tracker_observer *observer,
                        struct tracker_matrix *attitude, int64_t covariance[3][3]);
 
 #endif

@@ -23,6 +23,7 @@ struct sums {
 struct average {
     int any;
     tracker_real highest, weight, factor, systematic, shear2;
+    tracker_real origin[3]; /* rotation of the first model, from which those of all are counted */
     tracker_real mean[COUNT], square[3][3];
 };
 
@@ -135,6 +136,8 @@ static void add_to_average(struct average *to, struct model *model, const struct
     if (!to->any) {
         to->any = 1;
         to->highest = model->log_weight;
+        for (k = 0; k < 3; k++)
+            to->origin[k] = model->mean[k];
     } else {
         const tracker_real apart = tracker_subtract(model->log_weight, to->highest);
         if (tracker_integer_of(apart, PRIOR_BITS) < -NEGLIGIBLE)
@@ -147,6 +150,8 @@ static void add_to_average(struct average *to, struct model *model, const struct
         }
     }
     to->weight = tracker_add(to->weight, share);
+    for (k = 0; k < 3; k++)
+        model->mean[k] = tracker_subtract(model->mean[k], to->origin[k]);
     for (k = 0; k < model->size; k++)
         to->mean[k] = tracker_add(to->mean[k], tracker_times(share, model->mean[k]));
     scaled = tracker_times(share, model->scale);
@@ -219,11 +224,13 @@ int tracker_fit_pose(const struct tracker_pose_star *star, int count, int plain,
         return 0;
     share = tracker_over(tracker_real_of(1, 0), average.weight);
     for (i = 0; i < COUNT; i++)
-        fit->step[i] = tracker_times(average.mean[i], share);
+        average.mean[i] = tracker_times(average.mean[i], share);
     for (i = 0; i < 3; i++)
         for (j = 0; j < 3; j++)
             fit->covariance[i][j] = tracker_subtract(tracker_times(average.square[i][j], share),
-                                                     tracker_times(fit->step[i], fit->step[j]));
+                                                     tracker_times(average.mean[i], average.mean[j]));
+    for (i = 0; i < COUNT; i++)
+        fit->step[i] = i < 3 ? tracker_add(average.origin[i], average.mean[i]) : average.mean[i];
     /* a shear is also half a rotation, which residuals do not show */
     fit->covariance[2][2] = tracker_add(fit->covariance[2][2], tracker_times(average.shear2, share));
     fit->factor = tracker_times(average.factor, share);

@@ -254,7 +254,7 @@ static void decide(struct tracker_front *front)
 {
     front->decided = 1;
     if (TRACKER_FRONT_POOL > TRACKER_FRONT_TRAIL_POINTS && !tracker_front_look_trailed(front)) {
-        front->tracing = 0;
+        front->tracing = front->trails = front->motion.known = 0;
         front->room = TRACKER_FRONT_POOL;
     }
 }
@@ -288,6 +288,7 @@ static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y
     kept->noise = here.noise;
     kept->height = here.height;
     copy_stamp(rows, kept);
+    tracker_front_level(rows, cell, kept);
     rows->worst = -1;
 }
 

@@ -54,7 +54,7 @@ static int fit_pose(struct tracker_context *context, struct tracker_found *found
     int k;
 
     answer->used = tracker_solve_pose(&context->work.pose, context->star, context->star_count, found->best.guide,
-                                      &context->info.velocity, &found->best.attitude, answer->covariance);
+                                      &context->observer, &found->best.attitude, answer->covariance);
     if (answer->used == 0)
         return 0;
     answer->attitude = found->best.attitude;
@@ -74,8 +74,8 @@ void tracker_solve_list(struct tracker_context *context, struct tracker_answer *
     clear(answer);
     for (k = 0; k < context->star_count; k++)
         seen[k] = (uint8_t)tracker_star_vector(&context->star[k], &context->direction[k]);
-    tracker_identify(&context->work.search, &context->info, context->star, context->direction, seen, context->star_count,
-                     &found);
+    tracker_identify(&context->work.search, &context->observer, &context->info.prior, context->star, context->direction, seen,
+                     context->star_count, &found);
     answer->reason = found.reason;
     if (found.reason == TRACKER_ACCEPTED && !fit_pose(context, &found, answer)) {
         clear(answer);

@@ -39,6 +39,14 @@ struct tracker_frame_info {
     struct tracker_vector velocity; /* of the observer over that of light, ICRS axes, 2.30; zeros: no aberration */
     struct tracker_prior prior;
     int64_t time_us;                /* middle of the exposure, microseconds of any clock that does not jump */
+    int32_t epoch;                  /* the same as Julian epoch (TT), years, 16 fraction bits, for the proper motion of the
+                                       stars; 0: TRACKER_EPOCH, that of the tables */
+};
+
+/* Who sees the guide stars. */
+struct tracker_observer {
+    struct tracker_vector velocity; /* as above */
+    int32_t years;                  /* since TRACKER_EPOCH, 16 fraction bits */
 };
 
 /* In the order of `startracker.solution.Status`. */
@@ -62,7 +70,7 @@ enum tracker_reason {
     TRACKER_ABOVE_RATE,      /* the best attitude occurs by chance more often than the false-alarm rate allows */
     TRACKER_RIVAL,           /* another attitude explains the stars nearly as well */
     TRACKER_POSE_FAILED,     /* the identified stars fit no attitude */
-    TRACKER_STEPS_USED_UP,   /* the steps of the search were used up before an attitude was accepted */
+    TRACKER_STEPS_USED_UP,   /* the steps of the search, or its room, were used up before an attitude was accepted */
     TRACKER_ROWS_MISSING,    /* tracker_finish before TRACKER_HEIGHT rows */
     TRACKER_FRAME_UNIFORM,   /* the frame has no noise */
     TRACKER_SATURATED_SHARE  /* a large part of the frame is saturated */

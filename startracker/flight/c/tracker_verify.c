@@ -64,11 +64,10 @@ static void insert(struct tracker_field *field, int guide, int most)
     field->depth++;
 }
 
-/* The brightest `most` guide stars on the image at an attitude, with aberration. */
+/* The brightest `most` guide stars on the image at an attitude, in their apparent directions. */
 static void find_field(struct tracker_search *search, const struct tracker_matrix *matrix, int most)
 {
     struct tracker_field *field = &search->field;
-    const struct tracker_vector *velocity = &search->velocity;
     int64_t axes[3][3], rows[3][3], guide[3], seen[3];
     int i, j, k, x, y, entry;
 
@@ -96,13 +95,8 @@ static void find_field(struct tracker_search *search, const struct tracker_matri
             }
         }
     for (k = 0; k < field->depth; k++) {
-        struct tracker_vector *direction = &field->direction[k];
         const int star = field->guide[k];
-        direction->x = tracker_guide_direction[star][0];
-        direction->y = tracker_guide_direction[star][1];
-        direction->z = tracker_guide_direction[star][2];
-        if (velocity->x != 0 || velocity->y != 0 || velocity->z != 0)
-            tracker_aberrate(direction, velocity, direction);
+        tracker_apparent(tracker_guide_direction[star], tracker_guide_motion[star], &search->observer, &field->direction[k]);
     }
 }
 

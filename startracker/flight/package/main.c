@@ -1,16 +1,17 @@
 /* Solves frames or lists of stars from standard input, and prints a line for each.
  *
- *     solve frames [VX VY VZ] < FILE    frames of TRACKER_WIDTH x TRACKER_HEIGHT pixels, unsigned 16 bits, the lower byte
+ *     solve frames [VX VY VZ [EPOCH]] < FILE
+ *                                       frames of TRACKER_WIDTH x TRACKER_HEIGHT pixels, unsigned 16 bits, the lower byte
  *                                       first, row by row from the top, one frame after the other
  *     solve stars < FILE                lists: a line "x y flux variance flags" for each star, brightest first, integers
  *                                       as in struct tracker_star; an empty line ends a list. Lines before its stars:
- *                                       "velocity VX VY VZ", and "prior" with nine numbers of the matrix and the radius
+ *                                       "velocity VX VY VZ", "epoch EPOCH", and "prior" with nine numbers of the matrix and the radius
  *     solve follow < FILE               the same lists as a sequence: each has a line "time US", microseconds, and may have a
  *                                       line "gyro X Y Z", rad/s times 2^30; answers are those of the filter, and have
  *                                       filter= (enum tracker_following_result); "bad_time" if the time cannot be used
  *     solve version                     what this program was made from
  *
- * VX VY VZ is the velocity of the observer over that of light, ICRS axes, times 2^30.
+ * VX VY VZ is the velocity of the observer over that of light, ICRS axes, times 2^30; EPOCH the Julian epoch times 2^16.
  *
  *     status reason stars= matched= used= evidence= chance= steps= contradicted= quaternion= covariance= numbers=
  *
@@ -151,6 +152,10 @@ static int read_line(const char *line, struct list *list)
         if (!read_numbers(line + 9, 3, n))
             return 0;
         info->velocity = vector(n);
+    } else if (strncmp(line, "epoch ", 6) == 0) {
+        if (!read_numbers(line + 6, 1, n))
+            return 0;
+        info->epoch = (int32_t)n[0];
     } else if (strncmp(line, "time ", 5) == 0) {
         if (!read_numbers(line + 5, 1, n))
             return 0;
@@ -225,8 +230,8 @@ int main(int argc, char **argv)
 {
     static struct tracker_context context;
     static struct tracker_following following;
-    struct tracker_frame_info info = {{0, 0, 0}, {{{{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}}, 0}, 0};
-    long long velocity[3];
+    struct tracker_frame_info info = {{0, 0, 0}, {{{{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}}, 0}, 0, 0};
+    long long known[4] = {0, 0, 0, 0};
     int k;
 
     if (argc == 2 && strcmp(argv[1], "version") == 0) {
@@ -239,13 +244,13 @@ int main(int argc, char **argv)
         tracker_following_start(&following);
         return solve_lists(&context, &following);
     }
-    if ((argc == 2 || argc == 5) && strcmp(argv[1], "frames") == 0) {
-        for (k = 0; k < 3 && argc == 5; k++)
-            velocity[k] = strtoll(argv[2 + k], NULL, 10);
-        if (argc == 5)
-            info.velocity = vector(velocity);
+    if ((argc == 2 || argc == 5 || argc == 6) && strcmp(argv[1], "frames") == 0) {
+        for (k = 0; k < argc - 2; k++)
+            known[k] = strtoll(argv[2 + k], NULL, 10);
+        info.velocity = vector(known);
+        info.epoch = (int32_t)known[3];
         return solve_frames(&context, &info);
     }
-    fprintf(stderr, "solve frames [VX VY VZ] | stars | follow | version, with the frames or lists on standard input\n");
+    fprintf(stderr, "solve frames [VX VY VZ [EPOCH]] | stars | follow | version, with the frames or lists on standard input\n");
     return 2;
 }

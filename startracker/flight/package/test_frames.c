@@ -54,6 +54,7 @@ int main(void)
     for (n = 0; n < TEST_FRAMES; n++) {
         struct tracker_frame_info info = nothing;
         info.velocity = test_velocity;
+        info.epoch = TEST_EPOCH;
         tracker_start(&context, &info);
         for (y = 0; y < TRACKER_HEIGHT; y++) {
             make_row(row, TEST_SEED + (uint32_t)n, y, &test_source[test_source_first[n]],

@@ -15,6 +15,7 @@ int main(void)
     for (n = 0; n < TEST_LISTS; n++) {
         struct tracker_frame_info info = nothing;
         info.velocity = test_velocity;
+        info.epoch = TEST_EPOCH;
         tracker_start(&context, &info);
         tracker_solve_stars(&context, &test_star[test_first[n]], test_first[n + 1] - test_first[n], &answer);
         failed += test_differs("list", n, &answer, &test_list_answer[n]);
