@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.integer_lists import Camera as Pinhole
 from benchmarks.integer_lists import Pattern, pattern_list
 from startracker import StarTracker
-from startracker.arrays import FloatArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.flight.stars import StarList
 
 MOST = 60
@@ -36,12 +36,14 @@ FIELDS = {
 
 
 class Field(NamedTuple):
-    """A list and its truth: centroids (N, 2), fluxes (N,), stated error in pixels, attitude (3, 3)."""
+    """A list and its truth: centroids (N, 2), fluxes (N,), stated error in pixels, attitude (3, 3), catalogue numbers
+    (N,), 0 of false stars."""
 
     xy: FloatArray
     flux: FloatArray
     sigma_px: float
     matrix: FloatArray
+    number: IntArray
 
     @property
     def stars(self) -> StarList:
@@ -62,16 +64,18 @@ def field_list(tracker: StarTracker, kind: Kind, rng: np.random.Generator) -> Fi
     seen = seen[rng.random(len(seen)) >= kind.missing]
     xy = positions[seen] + rng.normal(0.0, kind.noise_px, (len(seen), 2))
     flux = 10.0 ** (-0.4 * (magnitude[seen] - 10.0))
+    number = np.asarray(tracker.guide.catalog.id)[index[seen]]
     count = round(kind.false * len(seen) / (1.0 - kind.false))
     size = np.array([tracker.camera.width, tracker.camera.height])
     if count:
         faintest, brightest = np.log([flux.min(), flux.max()])
         xy = np.concatenate([xy, rng.uniform(0.0, size - 1.0, (count, 2))])
         flux = np.concatenate([flux, np.exp(rng.uniform(faintest, brightest, count))])
+        number = np.concatenate([number, np.zeros(count, number.dtype)])
     order = np.argsort(-flux, kind="stable")
     order = order[tracker.camera.contains(xy[order])][:MOST]
     sigma = max(kind.noise_px, 0.05) if rng.random() < 0.5 else 0.15
-    return Field(xy[order], flux[order], sigma, matrix)
+    return Field(xy[order], flux[order], sigma, matrix, number[order])
 
 
 def null_list(tracker: StarTracker, pattern: Pattern, rng: np.random.Generator) -> StarList:

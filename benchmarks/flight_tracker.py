@@ -2,9 +2,14 @@
 
 nice python -m benchmarks.flight_tracker [--camera cubesat ...] [--identifier triads] [--n 420] [--rate 1e-7] [--seed 1]
 
-For each camera and kind of field: lists that `StarTracker.solve_centroids` and the C solve, that only one of them does,
-wrong ones of the C (a normalised squared error above 31.8, as rare as 5 sigma, and more than 0.1 degrees), and its
-steps. Then lists that are not a sky, all of whose solutions are wrong. Exit status 1 if any is.
+For each camera and kind of field: lists that `StarTracker.solve_centroids` and the C solve, that only one of them does;
+attitudes of the C off by more than 0.1 degrees, which are wrong, and beyond 5 sigma of their covariance; true stars
+with the number of another one, and false stars with a number; and its steps. Then lists that are not a sky, all of whose
+solutions are wrong. Exit status 1 if anything is wrong.
+
+Beyond 5 sigma is a squared error over the covariance above 31.8, of probability 5.7e-7 for a normal distribution (chi
+squared, 3 degrees of freedom); the covariance is estimated from 2 n residuals and a prior worth 20, so that the error
+follows Student's distribution of 17 + 2 n degrees of freedom, whose expected number is stated.
 """
 
 from __future__ import annotations
@@ -18,13 +23,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from benchmarks.flight_lists import FIELDS, Field, field_list, null_list
 from benchmarks.integer_lists import PATTERNS
 from simulator.randomness import stream
 from simulator.study.exported_c.build import Build, compile_export
 from startracker import Camera, StarTracker
-from startracker.arrays import FloatArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import flight_export
@@ -35,6 +41,17 @@ CAMERAS = {"cubesat": (12.86, 7.0), "10 deg": (10.0, 7.0), "20 deg": (20.0, 6.0)
 LARGEST_CHI2, LARGEST_DEG = 31.8, 0.1
 
 
+class Judged(NamedTuple):
+    """Faults of answers, or their sums: beyond 0.1 degrees; beyond 5 sigma, and the expected number; true stars with
+    another one's number, false stars with a number."""
+
+    far: int = 0
+    beyond: int = 0
+    expected: float = 0.0
+    misnamed: int = 0
+    named: int = 0
+
+
 class Answer(NamedTuple):
     """A line of the C program."""
 
@@ -42,25 +59,35 @@ class Answer(NamedTuple):
     steps: int
     matrix: FloatArray | None
     covariance: FloatArray | None
+    numbers: IntArray
+    """Catalogue numbers (N,) of the list's stars, 0: none."""
 
     @classmethod
     def of_line(cls, line: str) -> Answer:
         status, _, *rest = line.split()
         values = dict(part.split("=") for part in rest)
         if status != "solved":
-            return cls(status, int(values["steps"]), None, None)
+            return cls(status, int(values["steps"]), None, None, np.zeros(0, np.int64))
         matrix = Attitude(np.array(values["quaternion"].split(","), float)).as_matrix()
         covariance = np.array(values["covariance"].split(","), float).reshape(3, 3) / float(1 << 60)
-        return cls(status, int(values["steps"]), matrix, covariance)
+        return cls(status, int(values["steps"]), matrix, covariance, np.array(values["numbers"].split(","), np.int64))
 
-    def is_wrong(self, truth: FloatArray) -> bool:
-        """Whether the attitude contradicts its covariance and is off by more than 0.1 degrees."""
+    def judged(self, one: Field) -> Judged:
+        """Compared with the truth."""
         if self.matrix is None or self.covariance is None:
-            return False
-        turn = self.matrix @ truth.T
+            return Judged()
+        turn = self.matrix @ one.matrix.T
         error = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
         far = float(np.degrees(np.linalg.norm(error))) > LARGEST_DEG or float(np.trace(turn)) < 1.0
-        return far and float(error @ np.linalg.solve(self.covariance, error)) > LARGEST_CHI2
+        named = self.numbers > 0
+        freedom = 17 + 2 * np.count_nonzero(named)
+        return Judged(
+            int(far),
+            int(far or float(error @ np.linalg.solve(self.covariance, error)) > LARGEST_CHI2),
+            float(fisher.sf(LARGEST_CHI2 / 3.0 * freedom / (freedom - 2), 3, freedom)),
+            int(np.count_nonzero(named & (one.number > 0) & (self.numbers != one.number))),
+            int(np.count_nonzero(named & (one.number == 0))),
+        )
 
 
 def lists_text(lists: Sequence[StarList]) -> str:
@@ -87,16 +114,39 @@ def make(name: str, identifier: str, rate: float, folder: Path) -> tuple[StarTra
     return tracker, compile_export(flight_export(design), folder)
 
 
-def compare_fields(tracker: StarTracker, build: Build, lists: Sequence[Field]) -> tuple[int, ...]:
-    """Lists that both solve, that only `StarTracker` does, that only the C does; wrong ones; median and most steps."""
+class Compared(NamedTuple):
+    """Lists that both solve, that only `StarTracker` does, that only the C does; faults; median and most steps."""
+
+    both: int
+    only_python: int
+    only_c: int
+    faults: Judged
+    median: int
+    most: int
+
+    def __str__(self) -> str:
+        far, beyond, expected, misnamed, named = self.faults
+        counts = f"{self.both:6} {self.only_python:17} {self.only_c:7} {far:10} {beyond:12} {expected:9.4f}"
+        return f"{counts} {misnamed:9} {named:6} {self.median:13,} {self.most:11,}"
+
+
+COLUMNS = (
+    "kind               lists   both  only StarTracker  only C  > 0.1 deg    > 5 sigma  expected  misnamed  false  "
+)
+COLUMNS += "median steps        most"
+
+
+def compare_fields(tracker: StarTracker, build: Build, lists: Sequence[Field]) -> Compared:
+    """Solve lists with both."""
     answers = solved_by(build, [one.stars for one in lists])
     both = np.zeros((2, 2), int)
     for one, answer in zip(lists, answers, strict=True):
         solution = tracker.solve_centroids(one.xy, one.flux, sigma_px=one.sigma_px)
         both[int(solution.solved), int(answer.status == "solved")] += 1
-    wrong = sum(answer.is_wrong(one.matrix) for one, answer in zip(lists, answers, strict=True))
+    faults = [answer.judged(one) for one, answer in zip(lists, answers, strict=True)]
     steps = [answer.steps for answer in answers]
-    return int(both[1, 1]), int(both[1, 0]), int(both[0, 1]), wrong, int(np.median(steps)), max(steps)
+    sums = Judged(*(sum(column) for column in zip(*faults, strict=True)))
+    return Compared(int(both[1, 1]), int(both[1, 0]), int(both[0, 1]), sums, int(np.median(steps)), max(steps))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -115,18 +165,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tracker, build = make(name, options.identifier, options.rate, Path(folder))
             memory = f"tables {build.table_bytes:,}, code {build.code_bytes:,}, context {build.context_bytes:,}"
             print(f"{name}: bytes of {memory}")
-            print("kind               lists   both  only StarTracker  only C  wrong  median steps      most")
+            print(COLUMNS)
             for number, (kind, what) in enumerate(FIELDS.items()):
                 rng = stream(options.seed, f"flight {name}", number)
                 found = compare_fields(tracker, build, [field_list(tracker, what, rng) for _ in range(options.n)])
-                print("{:18} {:5} {:6} {:17} {:7} {:6} {:13,} {:9,}".format(kind, options.n, *found), flush=True)
-                wrong += found[3]
+                print(f"{kind:18} {options.n:5} {found}", flush=True)
+                wrong += found.faults.far
             for number, pattern in enumerate(PATTERNS):
                 rng = stream(options.seed, f"flight null {name}", number)
                 answers = solved_by(build, [null_list(tracker, pattern, rng) for _ in range(options.null)])
                 solved = sum(answer.status == "solved" for answer in answers)
                 most = max(answer.steps for answer in answers)
-                print(f"{pattern:18} {options.null:5} {solved:6} {'':54} {most:9,}", flush=True)
+                print(f"{pattern:18} {options.null:5} {solved:6} {'':88} {most:11,}", flush=True)
                 wrong += solved
     return int(wrong > 0)
 
