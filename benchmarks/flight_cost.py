@@ -1,9 +1,12 @@
 """What the flight build takes: flash, RAM, stack and instructions of each stage, on emulated processors.
 
     python -m benchmarks.flight_cost [--arithmetic fixed float] [--lists 2000] [--targets m4 m7 ...] [--out FILE.md]
+    nice python -m benchmarks.flight_cost --worst DIR [--frames 10000] [--lists 10000]
 
 Instructions of one rendered frame of `scenarios/cubesat.yaml` by stage on every processor, and the most that any of the
-lists of `benchmarks.flight` takes on a Cortex-M4, with the case and number of that list, which make it again.
+lists of `benchmarks.flight` takes on a Cortex-M4, with the case and number of that list, which make it again. With
+``--worst`` the most that any of many frames and lists takes (`benchmarks.flight_worst`); the folder keeps what is done
+and the inputs.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import flight_worst
 from benchmarks.cases import CASES
 from benchmarks.flight import LISTS, SEED, list_design, scenario_of, scene_text
 from benchmarks.report import Table, provenance, show, write_markdown
@@ -103,6 +107,21 @@ def worst_list(arithmetic: str, count: int) -> list[Worst]:
     return found
 
 
+def worst_scenes(folder: Path, arithmetic: str, frames: int, lists: int) -> list[Table]:
+    """Tables of the worst frames and lists, million instructions by stage, with what the bound on steps gives."""
+    tables: list[Table] = []
+    columns = ["kind", "number", "status", "estimate", *STAGES, "total, million"]
+    for name, found in flight_worst.find_worst(folder, arithmetic, frames, lists).items():
+        rows = []
+        for one in found[:5]:
+            stages = by_stage(one.counts)
+            counted = [f"{stages[stage] / 1e6:.2f}" for stage in STAGES]
+            total = f"{one.counts.total / 1e6:.1f}"
+            rows.append([one.kind, str(one.number), one.status, f"{one.estimate / 1e6:.1f}", *counted, total])
+        tables.append((f"{name} that take most on a Cortex-M4, {arithmetic}", columns, rows))
+    return tables
+
+
 FRAME_COLUMNS = ["what", "C", "tables, bytes", "code", "context", "stack", "same bits", *STAGES, "total, million"]
 LIST_COLUMNS = ["case", "C", "lists", "mean, million instructions", "most", "list"]
 
@@ -111,10 +130,24 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line."""
     made = argparse.ArgumentParser(prog="python -m benchmarks.flight_cost", description=__doc__.splitlines()[0])
     made.add_argument("--arithmetic", nargs="*", default=["fixed", "float"])
-    made.add_argument("--lists", type=int, default=2000, help="lists of a case")
+    made.add_argument("--worst", type=Path, metavar="DIR", help="find the frames and lists that take most")
+    made.add_argument("--frames", type=int, default=10000, help="of --worst")
+    made.add_argument("--lists", type=int, help="lists of a case, by default 2000, or in all with --worst, 10000")
     made.add_argument("--targets", nargs="*", default=list(TARGETS), choices=list(TARGETS))
     made.add_argument("--out", type=Path, help="Markdown file to write")
     options = made.parse_args(arguments)
+    if options.worst is not None:
+        lists_in_all = 10000 if options.lists is None else options.lists
+        tables = [
+            table
+            for arithmetic in options.arithmetic
+            for table in worst_scenes(options.worst / arithmetic, arithmetic, options.frames, lists_in_all)
+        ]
+        show(tables)
+        if options.out is not None:
+            write_markdown(options.out, "What the flight build takes at most", provenance(), tables)
+        return 0
+    options.lists = 2000 if options.lists is None else options.lists
     targets = [TARGETS[name] for name in options.targets if TARGETS[name].missing() is None]
     frames: list[list[str]] = []
     lists: list[list[str]] = []
@@ -124,7 +157,7 @@ def main(arguments: list[str] | None = None) -> int:
             lists += [
                 [one.case, arithmetic, *one.figures(options.lists)] for one in worst_list(arithmetic, options.lists)
             ]
-    tables: list[Table] = [
+    tables = [
         ("One frame of the cubesat, million instructions", FRAME_COLUMNS, frames),
         ("Lists of stars on a Cortex-M4", LIST_COLUMNS, lists),
     ]

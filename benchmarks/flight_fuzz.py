@@ -3,8 +3,8 @@
     python -m benchmarks.flight_fuzz [--seconds 600] [--jobs 2] [--what front stars ...] [--arithmetic fixed float]
                                      [--corpus DIR]
 
-The code is that of every camera; the constants are smaller, so that an execution is short and limits are reached: 40 by
-32 pixels, 12 stars, guide stars of two parts of the sky, searches of at most 600 steps. Executions are added up in
+The code is that of every camera; the constants are smaller, so that an execution is short and limits are reached: few
+pixels, 12 stars, guide stars of two parts of the sky, searches of at most 25,000 steps. Executions are added up in
 ``executions.json`` of the corpus every minute, so that an interrupted run counts and the next one continues from its
 inputs; a change of the C code begins a new count. Exits with 1 if anything is found; the inputs are in ``findings``.
 """
@@ -33,9 +33,8 @@ from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.export import Part, assemble, flight_parts
 from startracker.flight.solver import FlightTracker
 
-LONGEST = {"front": 300, "frames": 300, "stars": 120, "search": 120, "pose": 120, "filter": 600, "session": 260}
+LONGEST = {"front": 300, "frames": 300, "stars": 120, "search": 120, "pose": 120, "filter": 196, "session": 336}
 """Fuzzers, and their longest inputs, bytes."""
-MOST_STEPS = 600
 SLICE_S = 60
 SMALLER = {
     "FRONT_RUNS": 8,
@@ -45,19 +44,40 @@ SMALLER = {
     "SEARCH_MOST_KEPT": 512,
     "SEARCH_MOST_CANDIDATES": 10,
     "SEARCH_KEPT": 4,
+    "FOLLOWING_WINDOW": 6,
 }
 """Limits that frames and lists of this size would not reach."""
 SKY_PARTS = ((1.0, 0.2, 0.0), (0.1, 0.0, 1.0))
-"""Directions of the guide stars, which lie within `SKY_RADIUS_DEG`: on both sides of the equator, and at the pole."""
-SKY_RADIUS_DEG = 11.0
+"""Middles of the two parts of the sky that have guide stars: on both sides of the equator, and at the pole."""
 
 
-def fuzz_design(arithmetic: str) -> FlightDesign:
-    """A small camera with about ten guide stars in its fields."""
-    tracker = StarTracker(Camera.from_fov(4.6, 40, 32), magnitude_limit=7.4)
+class Small(NamedTuple):
+    """A camera: field of view, size, faintest guide stars and radius of the parts of the sky, steps of a search."""
+
+    fov_deg: float
+    width: int
+    height: int
+    magnitude: float
+    radius_deg: float
+    steps: int
+
+
+FRONT = Small(4.6, 40, 32, 7.0, 6.0, 0)
+FRAMES = Small(6.0, 72, 60, 7.0, 8.0, 25_000)
+LISTS = Small(12.0, 512, 480, 5.7, 24.0, 20_000)
+"""Few pixels for the front end; for frames, more; for lists, pixels small enough to identify them soon."""
+CAMERAS = {"front": FRONT, "frames": FRAMES} | dict.fromkeys(list(LONGEST)[2:], LISTS)
+"""Camera of each fuzzer."""
+
+
+def fuzz_design(camera: Small, arithmetic: str) -> FlightDesign:
+    """A camera with about ten guide stars in its fields."""
+    tracker = StarTracker(
+        Camera.from_fov(camera.fov_deg, camera.width, camera.height), magnitude_limit=camera.magnitude
+    )
     guide = tracker.guide
     axes = np.array(SKY_PARTS) / np.linalg.norm(SKY_PARTS, axis=1)[:, None]
-    near = np.flatnonzero((guide.directions @ axes.T).max(axis=1) > np.cos(np.radians(SKY_RADIUS_DEG)))
+    near = np.flatnonzero((guide.directions @ axes.T).max(axis=1) > np.cos(np.radians(camera.radius_deg)))
     guide = replace(
         guide,
         catalog=guide.catalog.select(near),
@@ -72,21 +92,22 @@ def fuzz_design(arithmetic: str) -> FlightDesign:
     return FlightDesign(tracker.camera, guide, numbers, 0.9, *settings, arithmetic, name="fuzz")
 
 
-def fuzz_export(arithmetic: str) -> CExport:
-    """The export of that camera, with searches that end early and smaller limits."""
-    tracker = FlightTracker.build(fuzz_design(arithmetic))
-    return assemble(tracker.design, [_smaller(part) for part in flight_parts(tracker)], "tracker", "")
+def fuzz_export(camera: Small, arithmetic: str) -> CExport:
+    """The export of a camera, with searches that end early and smaller limits."""
+    tracker = FlightTracker.build(fuzz_design(camera, arithmetic))
+    parts = [_smaller(part, camera.steps) for part in flight_parts(tracker)]
+    return assemble(tracker.design, parts, "tracker", "")
 
 
-def _smaller(part: Part) -> Part:
-    """A part with the limits of `SMALLER`, and fewer steps of the searches, their last column."""
+def _smaller(part: Part, most_steps: int) -> Part:
+    """A part with the limits of `SMALLER` and the searches' steps, their last column, cut, and the bound on all."""
     constants = {name: min(value, SMALLER.get(name, value)) for name, value in part.constants.items()}
     arrays = {table.name: table for table in part.arrays}
     if "search_row" in arrays:
-        rows = np.array(arrays["search_row"].values)
-        rows[:, -1] = np.minimum(rows[:, -1], MOST_STEPS)
-        constants["SEARCH_MOST_STEPS"] -= 2 * int((arrays["search_row"].values - rows).sum())
-        arrays["search_row"] = replace(arrays["search_row"], values=rows)
+        steps = arrays["search_row"].values
+        cut = np.hstack([steps[:, :-1], np.minimum(steps[:, -1:], most_steps)])
+        constants["SEARCH_MOST_STEPS"] -= 2 * int((steps - cut).sum())
+        arrays["search_row"] = replace(arrays["search_row"], values=cut)
     return part._replace(constants=constants, arrays=list(arrays.values()))
 
 
@@ -203,11 +224,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         corpus.mkdir(parents=True, exist_ok=True)
         programs: dict[str, Path] = {}
         for arithmetic in options.arithmetic:
-            folder = Path(temporary) / arithmetic
-            folder.mkdir()
-            export = fuzz_export(arithmetic)
-            built = build_fuzzers(export, options.what, folder)
-            programs |= {f"{what}_{arithmetic}": program for what, program in built.items()}
+            for number, camera in enumerate(dict.fromkeys(CAMERAS[what] for what in options.what)):
+                folder = Path(temporary) / f"{arithmetic}{number}"
+                folder.mkdir()
+                export = fuzz_export(camera, arithmetic)
+                built = build_fuzzers(export, [what for what in options.what if CAMERAS[what] == camera], folder)
+                programs |= {f"{what}_{arithmetic}": program for what, program in built.items()}
         tallies = Tallies(corpus, code_digest(export))
 
         def run(name: str) -> None:

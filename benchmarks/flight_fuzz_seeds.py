@@ -1,4 +1,4 @@
-"""First inputs of the flight build's fuzzers: the bytes that ``fuzz_fields.h`` and ``fuzz_pixels.h`` read."""
+"""Inputs from which the fuzzers of the flight build begin: bytes that ``fuzz_fields.h`` and ``fuzz_pixels.h`` read."""
 
 from __future__ import annotations
 
@@ -7,10 +7,6 @@ from collections.abc import Callable
 import numpy as np
 
 SEED, NUMBER = 20261, 48
-
-
-def _random(rng: np.random.Generator, count: int) -> bytes:
-    return rng.bytes(count)
 
 
 def _two(value: int) -> bytes:
@@ -26,8 +22,8 @@ def list_seed(rng: np.random.Generator, stars: int, false: int) -> bytes:
     groups = []
     for number, way in enumerate(ways):
         flux = _two(60000 - 4000 * number)
-        moved = bytes([way + 16, *_random(rng, 2)]) + flux + bytes([18, 6, 6])
-        groups.append(moved if way else bytes([16, *_random(rng, 2)]) + flux + bytes([18, *_random(rng, 2)]))
+        moved = bytes([way + 16, *rng.bytes(2)]) + flux + bytes([18, 6, 6])
+        groups.append(moved if way else bytes([16, *rng.bytes(2)]) + flux + bytes([18, *rng.bytes(2)]))
     return head + b"".join(groups)
 
 
@@ -37,14 +33,14 @@ def _lists() -> list[bytes]:
 
 
 def _sessions() -> list[bytes]:
-    """Four lists of six stars each, of nearly the same attitude, a tenth of a second apart."""
+    """Four lists of nine stars each, of nearly the same attitude, a tenth of a second apart."""
     rng = np.random.default_rng(SEED + 1)
     made = []
     for _ in range(NUMBER):
         at, roll = int(rng.integers(1 << 16)), int(rng.integers(1 << 15))
         frames = []
         for frame in range(4):
-            data = list_seed(rng, 6, 0)
+            data = list_seed(rng, 9, 0)
             time = _two(50000) + bytes([1, 0])
             frames.append(_two(at) + _two(roll + 3 * frame) + bytes(4) + time + data[12:])
         made.append(b"".join(frames))
@@ -52,31 +48,32 @@ def _sessions() -> list[bytes]:
 
 
 def _frames() -> list[bytes]:
-    """Fields with noise, still and moved, hot pixels, saturated stars, bright columns and boxes; raw pixels."""
+    """Fields with noise, still and moved, with hot pixels, saturated stars, bright columns and boxes; raw pixels."""
     rng = np.random.default_rng(SEED + 2)
     made = []
     for number in range(NUMBER):
-        trail = (bytes(2), _random(rng, 2), bytes([number % 60, 3 * number % 80]))[number % 3]
-        kind = (1, 1, 1, 9, 0, 15)[number % 6]
-        detector = [20, number % 7, 40, 80 + number, *trail, 3 + number % 9]
-        head = bytes([kind, *_random(rng, 2)]) + _two(200) + bytes(detector)
+        even = bytes([number % 60, 3 * number % 80])
+        trail = (bytes(2), bytes(2), rng.bytes(2), even)[number % 4]
+        kind = (1, 1, 1, 9, 1, 1, 1, 0, 1, 1, 15)[number % 11]
+        head = bytes([kind]) + rng.bytes(2) + _two(200) + bytes([20, number % 7, 40, 80 + number])
+        head += trail + bytes([3 + number % 9])
         groups = [
-            bytes([what, *_random(rng, 4)]) + _two(int(rng.integers(50, 30000))) + bytes([number])
+            bytes([what, *rng.bytes(4)]) + _two(int(rng.integers(50, 30000 if what > 2 else 1000))) + bytes([number])
             for what in rng.choice([3, 3, 3, 4, 4, 0, 1, 2], number % 12)
         ]
-        made.append(head + b"".join(groups) + (_random(rng, 200) if kind == 0 else b""))
+        made.append(head + b"".join(groups) + (rng.bytes(200) if kind == 0 else b""))
     return made
 
 
 def _filters() -> list[bytes]:
-    """Forty attitudes a tenth of a second apart that turn evenly; now and then a jump or a gap."""
+    """Twelve attitudes a tenth of a second apart that turn evenly; now and then a jump or a gap."""
     rng = np.random.default_rng(SEED + 3)
     made = []
     for number in range(NUMBER):
-        data = _random(rng, 4)
-        for step in range(36):
-            jump = 18 if number % 4 == 1 and step % 9 == 5 else 10
-            data += _two(50000) + bytes([1, 20, 5, 3, jump, *([70 + number] * 3), 0, number % 2 + 6 * (step % 11 == 7)])
+        data = rng.bytes(4)
+        for step in range(12):
+            jump = 18 if number % 4 == 1 and step % 5 == 3 else 10
+            data += _two(50000) + bytes([1, 20, 5, 3, jump, *([70 + number] * 3), 0, number % 2 + 6 * (step % 7 == 5)])
             data += bytes(4)
         made.append(data)
     return made

@@ -87,12 +87,23 @@ def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
         for j in range(i + 1):
             factor[i, j] = matrix[i, j]
     positive = factorise(factor, size)
-    for k in range(size):
-        out[k, k] = 1.0 if positive else math.nan
-        log_determinant += 2.0 * math.log(factor[k, k]) if positive else math.nan
-        substitute(factor, size, out[k])
-        for j in range(k):  # symmetric to the last digit
-            out[j, k] = out[k, j]
+    for i in range(size):  # as `substitute`, for all columns at a time
+        out[i, i] = 1.0 if positive else math.nan
+        log_determinant += 2.0 * math.log(factor[i, i]) if positive else math.nan
+        for j in range(i):
+            for k in range(j + 1):
+                out[i, k] -= factor[i, j] * out[j, k]
+        for k in range(i + 1):
+            out[i, k] /= factor[i, i]
+    for i in range(size - 1, -1, -1):
+        for j in range(i + 1, size):
+            for k in range(size):
+                out[i, k] -= factor[j, i] * out[j, k]
+        for k in range(size):
+            out[i, k] /= factor[i, i]
+    for i in range(size):
+        for j in range(i):  # symmetric to the last digit
+            out[i, j] = out[j, i]
     return out, log_determinant
 
 

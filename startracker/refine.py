@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.arrays import BoolArray, FloatArray, IntArray, same
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
@@ -127,9 +128,8 @@ def refine(
     xy, known = stars.xy, stars.variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
     sigma = np.ones(len(xy)) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
-    identified = np.ascontiguousarray(pairs, dtype=np.int64)
     directions = camera.unproject(xy) if directions is None else directions
-    used, matrix, camera = _matched(identified, xy, sigma, directions, camera, guide, known, free_focal)
+    used, matrix, camera = _matched(pairs, xy, sigma, directions, camera, guide, known, free_focal)
     stated = np.zeros((len(xy), 2, 2))
     stated[:, 0, 0] = stated[:, 1, 1] = sigma**2
     if known and stars.covariance_px2 is not None:
@@ -145,11 +145,11 @@ def refine(
         fit = other if np.count_nonzero(other.fits) > np.count_nonzero(fit.fits) else fit
     used, named, fits = fit.used, fit.named, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
-    common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
-    if common_px2.any():
+    if stars.common_px2 is not None or len(fit.errors.amplitudes):
+        common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
         turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
         covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
-    if not np.array_equal(named[fits], used):
+    if not same(named[fits], used):
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - camera.project(guide.directions[named[:, 1]] @ matrix.T)
     return Refined(matrix, covariance, named, fits, residual, camera)
@@ -167,26 +167,26 @@ def _matched(
 ) -> tuple[IntArray, FloatArray, Camera]:
     """Pairs that agree with the attitude of the previous pairs, iterated until unchanged; their attitude, and the
     camera."""
-    sky, fewest, same, matrix = guide.directions, len(used), False, np.zeros((3, 3))
+    sky, fewest, settled, matrix = guide.directions, len(used), False, np.zeros((3, 3))
+    field = Field(sky, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
     for _ in range(12):
         matrix, reference = _first_fit(used, directions, sky, sigma, matrix)
         if free_focal:
             chosen = used[:, 0]
             camera, matrix = _refocused(camera, matrix, xy[chosen], reference, sigma[chosen])
             directions = camera.unproject(xy)
-        if same:
+            field = field._replace(cosine=field_cosine(camera, MARGIN_PX), image=camera.image_map)
+        if settled:
             break
-        field = Field(sky, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
-        fitting, same = matched_again(used, matrix, reference, xy, sigma, known, field)
+        fitting, settled = matched_again(used, matrix, reference, xy, sigma, known, field)
         if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to find a false match: keep the identified ones
             break
         used = fitting
-        if same and not free_focal:  # the next fit would be the same
+        if settled and not free_focal:  # the next fit would be the same
             break
     if known and len(used) >= _FEWEST_TO_REJECT:  # bright stars show systematic errors: do not reject them yet
         wide = np.maximum(sigma, median(sigma[used[:, 0]]))
         matrix, reference = _first_fit(used, directions, sky, wide, matrix)
-        field = Field(sky, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
         more, _ = matched_again(used, matrix, reference, xy, wide, known, field)
         used = more if len(more) >= len(used) else used
     return used, matrix, camera
@@ -218,6 +218,11 @@ class _Field:
     observer: Observer | None
     as_assumed: float
 
+    @cached_property
+    def centre_px(self) -> FloatArray:
+        """The principal point (2,)."""
+        return np.array([self.camera.cx, self.camera.cy])
+
     def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
         """Fits of the stars that agree with the previous fit, iterated until unchanged."""
         measured = self.xy
@@ -227,7 +232,7 @@ class _Field:
             fitting = named[fits]
             if len(fitting) < fewest:
                 break
-            if np.array_equal(fitting, used) and np.array_equal(merged, measured):
+            if same(fitting, used) and same(merged, measured):
                 break
             used, measured = fitting, merged
             pose, matrix, errors = self.fit(used, matrix, measured)
@@ -238,7 +243,7 @@ class _Field:
         """`error_columns` of measured positions (N, 2) of this camera."""
         camera = self.camera
         half_diagonal = 0.5 * math.hypot(camera.width, camera.height)
-        return error_columns(xy, (xy - (camera.cx, camera.cy)) / half_diagonal)
+        return error_columns(xy, (xy - self.centre_px) / half_diagonal)
 
     def _corrected(self, xy: FloatArray, errors: ImageErrors) -> FloatArray:
         """Measured positions (N, 2) without the errors common to the field."""
@@ -249,8 +254,8 @@ class _Field:
         field; from measured positions (N, 2), see `named`."""
         stars, camera = pairs[:, 0], self.camera
         reference = self.guide.directions[pairs[:, 1]]
-        residual, slopes, offset = _linearised(measured[stars], matrix, reference, camera.image_map)
-        offset -= (camera.cx, camera.cy)
+        residual, slopes, pixels = _linearised(measured[stars], matrix, reference, camera.image_map)
+        offset = pixels - self.centre_px
         extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
         first, models = 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
         given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma, self.as_assumed)
@@ -272,7 +277,7 @@ class _Field:
                 scale *= pose.factor
             factor = few_stars_factor(max(2 * len(stars) - 3, 1))
             pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
-        x, y, z = pose.turn
+        x, y, z = pose.turn.tolist()
         return pose, turned(matrix, -x, -y, -z), errors
 
     def _extra(
@@ -290,7 +295,7 @@ class _Field:
             columns.append(_space_motion_px_yr(guides, self.guide.directions, self.guide.motion, matrix, slopes))
             sigma.append(EPOCH_SIGMA_YR)
         if not columns:
-            return np.zeros((len(guides), 2, 0)), np.zeros(0)
+            return np.empty((len(guides), 2, 0)), np.empty(0)
         if len(columns) == 1:
             return columns[0][:, :, None], np.array(sigma)
         return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
@@ -316,7 +321,8 @@ class _Field:
         index, vectors, pixels = stars_on_image(
             matrix, field_cosine(camera, MARGIN_PX), MARGIN_PX, guide.directions, guide.grid, camera.image_map
         )
-        slopes, offset = pixel_slopes(vectors, camera.image_map), pixels - (camera.cx, camera.cy)
+        offset, moves = pixels - self.centre_px, self.observer is None or camera.row_time_s != 0.0
+        slopes = pixel_slopes(vectors, camera.image_map) if moves else np.empty((0, 2, 3))
         extra, _ = self._extra(index, matrix, slopes, offset)
         return index, pixels, displacements(offset, extra, pose.unknowns)
 
@@ -326,8 +332,8 @@ class _Field:
         covariance, measured = pose.covariance, self._corrected(fit.measured, fit.errors)
         if estimator not in OPTIMAL:  # with its own attitude and covariance, for the errors estimated by the fit
             reference = self.guide.directions[used[:, 1]]
-            _, slopes, offset = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)
-            offset -= (camera.cx, camera.cy)
+            _, slopes, pixels = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)
+            offset = pixels - self.centre_px
             extra, _ = self._extra(used[:, 1], matrix, slopes, offset)
             pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
             seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))

@@ -58,10 +58,14 @@ class PairList:
         else:
             pairs = cKDTree(points).query_pairs(2.0 * math.sin(min(max_rad, math.pi) / 2.0), output_type="ndarray")
             i, j = pairs[:, 0], pairs[:, 1]
-        chord = np.linalg.norm(points[i] - points[j], axis=1)
-        separation = 2.0 * np.arcsin(np.minimum(chord / 2.0, 1.0))
+        x, y, z = (points[i] - points[j]).T
+        separation = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y + z * z) / 2.0, 1.0))
         keep = np.flatnonzero((separation >= min_rad) & (separation <= max_rad))
-        order = keep[np.argsort(separation[keep], kind="stable")]
+        kept = separation[keep]
+        order = np.argsort(kept)  # a tenth of the time of a stable sort, which only equal separations need
+        if (np.diff(kept[order]) == 0.0).any():
+            order = np.argsort(kept, kind="stable")
+        order = keep[order]
         first, second = index[i[order]].astype(np.int32), index[j[order]].astype(np.int32)
         return cls(first, second, separation[order].astype(np.float32))
 

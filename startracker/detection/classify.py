@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import IntArray
-from startracker.detection.cosmic_rays import Sharpness, is_sharp, sharpest_star
-from startracker.detection.forms import form_of, is_halo
-from startracker.detection.shapes import PEAK_SHARE, measure_shape
+from startracker.detection.cosmic_rays import sharp_shapes, sharpest_star
+from startracker.detection.forms import is_halo, measure_forms
+from startracker.detection.shapes import PEAK_SHARE
 from startracker.detection.sources import Searched, Sources
-from startracker.detection.surroundings import Rings, is_clutter, stamp_of
+from startracker.detection.surroundings import are_clutter
 from startracker.detection.thresholds import LOOKED_AT, LOOKED_AT_MORE, ONE_PIXEL_SHARE
-from startracker.kernels import kernel, kernel_part
 
 Flags = NDArray[np.bool_]
 
@@ -32,6 +31,8 @@ REASONS = (
     FAINTER,
 )
 """The other classes in words, in their order."""
+_MORE = 8
+"""Sources examined at once beyond those that would be enough if four of five are stars."""
 
 
 class Criteria(NamedTuple):
@@ -44,15 +45,12 @@ class Criteria(NamedTuple):
     """Whether to look for cosmic rays and hot pixels (`startracker.detection.cosmic_rays`)."""
     quiet: float
     isolation: float
-    """As of `startracker.detection.surroundings.is_clutter`; an isolation of 0: no source is clutter."""
+    """As of `startracker.detection.surroundings.are_clutter`; an isolation of 0: no source is clutter."""
     most: int
     """Stars after which only the long sources are examined, as their number shows smear."""
 
 
-@kernel
-def classify_sources(
-    table: Sources, saturated: Flags, searched: Searched, criteria: Criteria, rings: Rings
-) -> IntArray:
+def classify_sources(table: Sources, saturated: Flags, searched: Searched, criteria: Criteria) -> IntArray:
     """Class (N,) of each source.
 
     Only the brightest sources, six for each star asked for, are examined, 36 where these are too few stars or all as
@@ -65,70 +63,64 @@ def classify_sources(
     saturated : bool array, shape (N,)
         Sources with a saturated pixel.
     """
-    kind, possible, count = np.full(len(table), _UNSEEN), np.empty(len(table), np.int64), 0
-    for n in range(len(table)):
-        if table[n]["pixels"] < criteria.min_pixels:
-            kind[n] = _SMALL
-        elif table[n]["pixels"] > criteria.max_pixels:
-            kind[n] = _LARGE
-        elif not table[n]["flux"] > 0.0:
-            kind[n] = _DARK
-        else:
-            possible[count] = n
-            count += 1
+    kind = np.where(table["flux"] > 0.0, _UNSEEN, _DARK)
+    kind[table["pixels"] > criteria.max_pixels] = _LARGE
+    kind[table["pixels"] < criteria.min_pixels] = _SMALL
+    possible = np.flatnonzero(kind == _UNSEEN)
     for looked_at in (LOOKED_AT * criteria.most, LOOKED_AT_MORE * criteria.most):
-        size, stars = min(count, looked_at), 0
-        sources, flags = np.empty_like(table[:size]), np.empty(size, np.bool_)
-        for n in range(size):
-            sources[n], flags[n] = table[possible[n]], saturated[possible[n]]
-        found, judged = _classify_examined(sources, flags, searched, criteria, rings)
-        for n in range(size):
-            kind[possible[n]] = found[n]
-            stars += found[n] == STAR
-        if size < looked_at or ((judged or not criteria.reject_hits) and stars == criteria.most):
+        which = possible[:looked_at]
+        examined = _Examined(table.take(which), saturated[which], searched, criteria)
+        kind[which] = found = examined.classify()
+        judged = examined.sharpness.limit_px2 > 0.0 or not criteria.reject_hits
+        if len(which) < looked_at or (judged and np.count_nonzero(found == STAR) == criteria.most):
             break
     return kind
 
 
-@kernel_part
-def _classify_examined(
-    table: Sources, saturated: Flags, searched: Searched, criteria: Criteria, rings: Rings
-) -> tuple[IntArray, bool]:
-    """Class (N,) of each source of sufficient size, and whether cosmic rays could be distinguished from stars."""
-    kind, stars, stamp = np.full(len(table), _UNSEEN), 0, stamp_of(rings)
-    halo, judged = is_halo(table), np.empty(len(table), np.bool_)
-    for n in range(len(table)):
-        judged[n] = criteria.reject_hits and not (saturated[n] or table[n]["edge"])
-    sharpness = sharpest_star(table, judged, searched)
-    for n in range(len(table)):
-        if halo[n]:
-            kind[n] = _HALO
-            continue
-        long = form_of(table[n], criteria.max_axis_ratio)[5]
-        if stars == criteria.most and not long:
-            continue
+class _Examined:
+    """Sources of sufficient size, brightest first."""
+
+    def __init__(self, table: Sources, saturated: Flags, searched: Searched, criteria: Criteria) -> None:
+        self.table, self.saturated, self.searched, self.criteria = table, saturated, searched, criteria
+        self.long = measure_forms(table, criteria.max_axis_ratio).long
+        judged = criteria.reject_hits & ~(saturated | table["edge"])
+        self.sharpness = sharpest_star(table, judged, searched)
         # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
-        if sharpness.limit_px2 > 0.0 and not table[n]["edge"] and (not saturated[n] or table[n]["saturated"] == 1):
-            kind[n] = _sharp_kind(table, n, searched, sharpness)
-        else:
-            kind[n] = STAR
-        if kind[n] == STAR and long:
-            kind[n] = _LONG
-        elif kind[n] == STAR and criteria.isolation > 0.0 and not saturated[n]:
-            radius = np.sqrt(table[n]["pixels"] / np.pi)
-            x, y, height = table[n]["x_peak"], table[n]["y_peak"], (criteria.quiet, criteria.isolation)
-            if is_clutter(searched, x, y, radius, height, rings, stamp):
-                kind[n] = _CLUTTER
-        stars += kind[n] == STAR
-    return kind, sharpness.limit_px2 > 0.0
+        may_be_sharp = ~table["edge"] & (~saturated | (table["saturated"] == 1))
+        self.may_be_sharp = may_be_sharp & (self.sharpness.limit_px2 > 0.0)
 
+    def classify(self) -> IntArray:
+        """Class (N,) of each, until there are as many stars as asked for; then of the long ones only."""
+        kind, most = np.where(is_halo(self.table), _HALO, _UNSEEN), self.criteria.most
+        left, stars = np.flatnonzero(kind == _UNSEEN), 0
+        while len(left) and stars < most:
+            which = left[: _MORE + (most - stars) * 5 // 4]
+            found = self._kinds_of(which)
+            is_star = np.flatnonzero(found == STAR)[: most - stars]
+            stars += len(is_star)
+            done = len(which) if stars < most else is_star[-1] + 1
+            kind[which[:done]] = found[:done]
+            left = left[done:]
+        long = left[self.long[left]]
+        if len(long):
+            kind[long] = self._kinds_of(long)
+        return kind
 
-@kernel_part
-def _sharp_kind(table: Sources, n: int, searched: Searched, sharpness: Sharpness) -> int:
-    """Hot pixel or cosmic ray, where a source is one of them; its shape is measured where it was not yet."""
-    x, y, shape = table[n]["x_peak"], table[n]["y_peak"], sharpness.shapes[n]
-    if np.isnan(shape[0]):
-        measure_shape(searched.image, searched.level, searched.noise, x, y, sharpness.weight, shape)
-    if not is_sharp(shape, sharpness, x, y, searched):
-        return STAR
-    return _ONE_PIXEL if shape[PEAK_SHARE] > ONE_PIXEL_SHARE else _COSMIC_RAY
+    def _kinds_of(self, which: IntArray) -> IntArray:
+        """Class of each of some sources that are no halos."""
+        kind = np.full(len(which), STAR)
+        asked = np.flatnonzero(self.may_be_sharp[which])
+        if len(asked):
+            sharp, shapes = sharp_shapes(self.table, which[asked], self.sharpness, self.searched)
+            hit = np.where(shapes[:, PEAK_SHARE] > ONE_PIXEL_SHARE, _ONE_PIXEL, _COSMIC_RAY)
+            kind[asked] = np.where(sharp, hit, STAR)
+        kind[(kind == STAR) & self.long[which]] = _LONG
+        asked = np.flatnonzero((kind == STAR) & ~self.saturated[which])
+        if self.criteria.isolation > 0.0 and len(asked):
+            table, criteria = self.table.take(which[asked]), self.criteria
+            radius = np.sqrt(table["pixels"] / np.pi)
+            clutter = are_clutter(
+                self.searched, table["x_peak"], table["y_peak"], radius, criteria.quiet, criteria.isolation
+            )
+            kind[asked[clutter]] = _CLUTTER
+        return kind

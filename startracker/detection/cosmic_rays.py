@@ -15,12 +15,10 @@ from startracker.detection.shapes import (
     PEAK_SHARE,
     SHAPE_COLUMNS,
     SHAPE_SNR,
-    Weight,
-    measure_shape,
-    shape_weight,
+    measure_shapes,
 )
 from startracker.detection.sources import Searched, Sources
-from startracker.detection.stamps import filtered_pixel
+from startracker.detection.stamps import filtered_pixels
 from startracker.detection.thresholds import (
     COMMON_WIDTH_RATIO,
     FEWEST_WIDE,
@@ -34,8 +32,6 @@ from startracker.detection.thresholds import (
     WIDEST_TRACK_PX2,
     WIDTH_SNR,
 )
-from startracker.kernels import kernel, kernel_part
-from startracker.sorting import sort
 
 FloatImage = NDArray[np.float32]
 
@@ -55,117 +51,84 @@ class Sharpness(NamedTuple):
     """Its variance along the minor axis; 0 where stars are as sharp as tracks, and sharpness cannot decide."""
     peak_share: float
     """Its brightest pixel as a share of its filtered signal; infinite where the filter spreads no light."""
-    weight: Weight
-    """Weight under which shapes are measured."""
+    weight_px: float
+    """Standard deviation of the weight under which shapes are measured."""
     shapes: FloatArray
     """Shapes (N, 5) of the sources measured under it so far; NaN for the others."""
 
 
-@kernel
 def common_width(variance: FloatArray) -> float:
     """The variance that most values share, to a factor 1.3 either way; NaN for none.
 
     Cosmic rays scatter over all widths, stars agree: so stars are found among more cosmic rays than stars, where a
     median fails. Of equal numbers the wider counts.
     """
-    values, count = np.empty(len(variance)), 0
-    for value in variance:
-        if math.isfinite(value) and value > 0.0:
-            values[count] = value
-            count += 1
-    values = values[:count]
-    sort(values)
-    most, centre = 0, math.nan
-    for n in range(count):
-        near = 0
-        for value in values:
-            near += values[n] / COMMON_WIDTH_RATIO <= value <= values[n] * COMMON_WIDTH_RATIO
-        if near >= most:
-            most, centre = near, values[n]
-    first, last = 0, -1
-    for n in range(count):
-        first += values[n] < centre / COMMON_WIDTH_RATIO
-        last += values[n] <= centre * COMMON_WIDTH_RATIO
-    return 0.5 * (values[(first + last) // 2] + values[(first + last + 1) // 2]) if count else math.nan
+    values = np.sort(variance[np.isfinite(variance) & (variance > 0.0)])
+    if not len(values):
+        return math.nan
+    near = values.searchsorted(values * COMMON_WIDTH_RATIO, "right")
+    near -= values.searchsorted(values / COMMON_WIDTH_RATIO, "left")
+    centre = values[len(values) - 1 - int(np.argmax(near[::-1]))]
+    first = int(values.searchsorted(centre / COMMON_WIDTH_RATIO, "left"))
+    last = int(values.searchsorted(centre * COMMON_WIDTH_RATIO, "right")) - 1
+    return float(0.5 * (values[(first + last) // 2] + values[(first + last + 1) // 2]))
 
 
-@kernel_part
 def sharpest_star(table: Sources, judged: Flags, searched: Searched) -> Sharpness:
     """Least variance along the minor axis that a star image of the frame can have.
 
     The stars' common variance is that of the first forty clear ones among the eighty brightest sources that are
     `judged`, or of what is not a hot pixel where hot pixels are nearly all.
     """
-    candidates, count = np.empty(len(table), np.int64), 0
-    for n in range(len(table)):
-        if judged[n] and table[n]["pixels"] >= _SHAPE_PIXELS:
-            candidates[count] = n
-            count += 1
-    candidates = candidates[:count]
-    shapes, width, examined = np.full((len(table), SHAPE_COLUMNS), np.nan), math.nan, min(count, 2 * _WIDTH_STARS)
-    weight_px = _WEIGHT_PX
-    weight = shape_weight(weight_px)
+    candidates = np.flatnonzero(judged & (table["pixels"] >= _SHAPE_PIXELS))
+    brightest, rest = candidates[: 2 * _WIDTH_STARS], candidates[2 * _WIDTH_STARS :]
+    shapes, width = np.full((len(table), SHAPE_COLUMNS), np.nan), math.nan
+    examined, weight_px = brightest, _WEIGHT_PX
     for attempt in range(_WEIGHTS):
-        _measure(table, candidates[:examined], searched, weight, shapes)
+        shapes[examined] = _shapes_of(table, examined, searched, weight_px)
         if attempt == _WEIGHTS - 1:
             break
-        width = common_width(_clear_widths(shapes, candidates[: 2 * _WIDTH_STARS], 0.0, _WIDTH_STARS))
+        clear = shapes[brightest]
+        width = common_width(clear[clear[:, SHAPE_SNR] > WIDTH_SNR, MINOR][:_WIDTH_STARS])
         if not width > SHARPEST_STARS_PX2:
-            _measure(table, candidates[examined:], searched, weight, shapes)
-            examined = count
-            width = _width_beside_pixels(shapes, candidates, width)
+            if examined is brightest and len(rest):
+                shapes[rest] = _shapes_of(table, rest, searched, weight_px)
+            examined = candidates
+            width = _width_beside_pixels(shapes[candidates], width)
         if not width > weight_px**2:
             break
         weight_px = 1.2 * math.sqrt(width)
-        weight = shape_weight(weight_px)
     limit = min(SHARP_SHARE * width, WIDEST_TRACK_PX2) if width > SHARPEST_STARS_PX2 else 0.0
     share = math.inf
     if limit > 0.0 and searched.half[1] != 0.0:
         share = peak_share(math.sqrt(max(limit - _PIXEL_VARIANCE, 0.01)), searched.half)
-    return Sharpness(limit, share, weight, shapes)
+    return Sharpness(limit, share, weight_px, shapes)
 
 
-@kernel_part
-def _measure(table: Sources, which: IntArray, searched: Searched, weight: Weight, shapes: FloatArray) -> None:
-    """Shapes of some sources, to their rows."""
-    for n in which:
-        x, y = table[n]["x_peak"], table[n]["y_peak"]
-        measure_shape(searched.image, searched.level, searched.noise, x, y, weight, shapes[n])
+def _shapes_of(table: Sources, which: IntArray, searched: Searched, weight_px: float) -> FloatArray:
+    """Shapes (n, 5) of some sources."""
+    x, y = table["x_peak"][which], table["y_peak"][which]
+    return measure_shapes(searched.image, searched.level, searched.noise, x, y, weight_px)
 
 
-@kernel_part
-def _clear_widths(shapes: FloatArray, which: IntArray, above_px2: float, most: int) -> FloatArray:
-    """Variances along the minor axis, above a limit, of the first sources with a sufficient signal-to-noise ratio."""
-    out, count = np.empty(len(which)), 0
-    for n in which:
-        if count < most and shapes[n, SHAPE_SNR] > WIDTH_SNR and (above_px2 == 0.0 or shapes[n, MINOR] > above_px2):
-            out[count] = shapes[n, MINOR]
-            count += 1
-    return out[:count]
-
-
-@kernel_part
-def _width_beside_pixels(shapes: FloatArray, which: IntArray, width: float) -> float:
+def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
     """The variance that stars share where they are few among hot pixels; else `width`.
 
     Stars sharper than a pixel are not taken for hot pixels: wherever such a star falls off the middle of its pixel, its
     neighbours have light too. So where nearly all that is sharp is nothing but one pixel, and three others are not
     sharp, these are the stars.
     """
-    wide = _clear_widths(shapes, which, SHARPEST_STARS_PX2, len(which))
-    sharp, alone = 0, 0
-    for n in which:
-        if shapes[n, SHAPE_SNR] > WIDTH_SNR and not shapes[n, MINOR] > SHARPEST_STARS_PX2:
-            sharp += 1
-            alone += shapes[n, PEAK_SHARE] > HOT_PEAK_SHARE
-    if sharp >= MANY_SHARP and alone >= HOT_SHARE * sharp and len(wide) >= FEWEST_WIDE:
-        width = common_width(wide)
+    clear = shapes[shapes[:, SHAPE_SNR] > WIDTH_SNR]
+    is_wide = clear[:, MINOR] > SHARPEST_STARS_PX2
+    wide, sharp = clear[is_wide, MINOR], clear[~is_wide]
+    alone = np.count_nonzero(sharp[:, PEAK_SHARE] > HOT_PEAK_SHARE)
+    if len(sharp) >= MANY_SHARP and alone >= HOT_SHARE * len(sharp) and len(wide) >= FEWEST_WIDE:
+        return common_width(wide)
     return width
 
 
-@kernel_part
-def is_sharp(shape: FloatArray, sharpness: Sharpness, x: int, y: int, searched: Searched) -> bool:
-    """Whether a source is sharper than the star images of its frame.
+def sharp_shapes(table: Sources, which: IntArray, sharpness: Sharpness, searched: Searched) -> tuple[Flags, FloatArray]:
+    """Whether each of some sources is sharper than the star images of its frame, and their shapes (n, 5).
 
     The optics spread all light alike; charge that arises in the detector stays in its pixels. Judged is the variance
     along the minor axis: a track is long at most in one direction, and smear widens no star in that one. The sharpest
@@ -174,32 +137,26 @@ def is_sharp(shape: FloatArray, sharpness: Sharpness, x: int, y: int, searched: 
     its standard error; or, where the matched filter spreads light, if its brightest pixel exceeds by three times its
     noise that of such a star with the source's filtered signal: this finds a hot pixel of 9σ, whose moments do not show
     it. Saturated sources, those cut off by the border, and frames whose stars are as sharp as tracks, are not judged.
-
-    Parameters
-    ----------
-    shape : array, shape (5,)
-        Of `measure_shape`.
-    sharpness : Sharpness
-        From `sharpest_star`.
-    x, y : int
-        Brightest pixel.
     """
-    if shape[MINOR] + SHARP_ERRORS * shape[MINOR_ERROR] < sharpness.limit_px2:
-        return True
-    if sharpness.peak_share == math.inf:
-        return False
-    filtered, signal = filtered_pixel(searched.image, searched.level, searched.half, x, y)
-    return bool(signal > sharpness.peak_share * filtered + PEAK_ERRORS * np.float64(searched.noise[y, x]))
+    shapes = sharpness.shapes[which]
+    new = np.flatnonzero(np.isnan(shapes[:, MINOR]))
+    if len(new):
+        shapes[new] = _shapes_of(table, which[new], searched, sharpness.weight_px)
+    sharp = shapes[:, MINOR] + SHARP_ERRORS * shapes[:, MINOR_ERROR] < sharpness.limit_px2
+    if sharpness.peak_share < math.inf:
+        other = np.flatnonzero(~sharp)
+        x, y = table["x_peak"][which[other]], table["y_peak"][which[other]]
+        filtered, signal = filtered_pixels(searched.image, searched.level, searched.half, x, y).T
+        noise = searched.noise[y, x].astype(np.float64)
+        sharp[other] = signal > sharpness.peak_share * filtered + PEAK_ERRORS * noise
+    return sharp, shapes
 
 
-@kernel
 def peak_share(star_sigma_px: float, half: FloatImage) -> float:
     """Brightest pixel of a star on a pixel's centre, as a share of its signal after the filter `half`."""
-    before = math.erf(0.5 / (math.sqrt(2.0) * star_sigma_px))
-    middle, along = before, before * half[0]
-    for k in range(1, len(half)):
-        edge = math.erf((k + 0.5) / (math.sqrt(2.0) * star_sigma_px))
-        along += (edge - before) * half[k]
+    edges = [math.erf((k + 0.5) / (math.sqrt(2.0) * star_sigma_px)) for k in range(len(half))]
+    along, before = 0.0, 0.0
+    for edge, weight in zip(edges, half.tolist(), strict=True):
+        along += (edge - before) * weight
         before = edge
-    share: float = (middle / along) ** 2
-    return share
+    return (edges[0] / along) ** 2

@@ -7,13 +7,12 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background
 from startracker.detection.classify import FAINTER, REASONS, STAR, Criteria, classify_sources
-from startracker.detection.forms import measure_forms
+from startracker.detection.forms import centres
 from startracker.detection.matched import quantiles
 from startracker.detection.plane import sample_plane
 from startracker.detection.scan import UNFILTERED
 from startracker.detection.sources import Searched, Sources, is_saturated
 from startracker.detection.spots import Spots
-from startracker.detection.surroundings import rings_of
 from startracker.detection.thresholds import QUIET_QUANTILE
 from startracker.detection.values import Image
 from startracker.settings import DetectionSettings
@@ -72,7 +71,7 @@ def select_spots(
         max(settings.max_stars, 0),
     )
     saturated = is_saturated(table, saturation_known)
-    kind = classify_sources(table, saturated, searched, criteria, rings_of(len(searched.half)))
+    kind = classify_sources(table, saturated, searched, criteria)
     counts = np.bincount(kind, minlength=len(REASONS) + 1)[1:].tolist()
     rejected = {reason: count for reason, count in zip(REASONS, counts, strict=True) if count}
     chosen = np.flatnonzero(kind == STAR)
@@ -84,7 +83,7 @@ def select_spots(
         stars["pixels"].copy(),
         saturated[chosen],
         stars["edge"].copy(),
-        measure_forms(stars, settings.max_axis_ratio).centre,
+        centres(stars),
         np.zeros((len(stars), 2)),
         rejected,
     )

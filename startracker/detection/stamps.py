@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
 
 FloatImage = NDArray[np.float32]
 
@@ -35,20 +36,19 @@ def filter_stamp(
     reach = len(half) - 1
     side, pitch = 2 * radius + 1, 2 * (radius + len(half)) - 1
     left, top = x0 - radius - reach, y0 - radius - reach
-    first, last, zero = max(left, 0), min(left + pitch, width), np.float32(0.0)
+    first, last, square = max(left, 0), min(left + pitch, width), pitch * pitch
     if left < 0 or left + pitch > width or top < 0 or top + pitch > height:
-        for i in range(pitch * pitch):
-            work[i] = zero
+        for i in range(square):
+            work[i] = 0.0
     for y in range(max(top, 0), min(top + pitch, height)):
         share, cell, lines = level.share[y], np.uint64(level.cell[y]), level.lines
         below, row = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(y)
         to = np.uint64((y - top) * pitch - left)
         for x in range(np.uint64(first), np.uint64(last)):
             signal = np.float32(image[row, x]) - (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
-            work[to + x] = signal if is_value(image[row, x]) else zero
-    count, square = side * pitch, pitch * pitch
-    _correlate(work, 0, half, pitch, work, square, count)
-    _correlate(work, square, half, 1, out, 0, count - 2 * reach)
+            work[to + x] = signal if is_value(image[row, x]) else np.float32(0.0)
+    _correlate(work, 0, half, pitch, work, square, side * pitch)
+    _correlate(work, square, half, 1, out, 0, side * pitch - 2 * reach)
     inside = x0 >= radius and y0 >= radius and x0 + radius < width and y0 + radius < height
     if not (is_whole(image) and inside):
         for j in range(side):
@@ -58,26 +58,29 @@ def filter_stamp(
                     out[j * pitch + i] = np.nan
 
 
-@kernel_part
+@kernel
 def _correlate(
     values: FloatImage, start: int, half: FloatImage, step: int, out: FloatImage, to: int, count: int
 ) -> None:
     """Sums of 2 reach + 1 numbers that are `step` apart, the first of them at the position of the sum."""
-    reach = len(half) - 1
+    reach, weight = len(half) - 1, half[0]
     for k in range(1, reach, 2):
-        weight, near, far = half[0], half[k], half[k + 1]
-        middle, a, b = (
-            values[start + reach * step :],
-            values[start + (reach - k) * step :],
-            values[start + (reach + k) * step :],
-        )
-        c, d, sums = values[start + (reach - k - 1) * step :], values[start + (reach + k + 1) * step :], out[to:]
-        if k == 1:
-            for i in range(count):
-                sums[i] = weight * middle[i] + near * (a[i] + b[i]) + far * (c[i] + d[i])
-        else:
-            for i in range(count):
-                sums[i] += near * (a[i] + b[i]) + far * (c[i] + d[i])
+        near, far = half[k], half[k + 1]
+        inner, outer, middle = np.uint64(k * step), np.uint64((k + 1) * step), np.uint64(start + reach * step)
+        for i in range(np.uint64(count)):
+            at, sums = middle + i, np.uint64(to) + i
+            before = weight * values[at] if k == 1 else out[sums]
+            beside = near * (values[at - inner] + values[at + inner])
+            out[sums] = before + beside + far * (values[at - outer] + values[at + outer])
+
+
+@kernel
+def filtered_pixels(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> FloatArray:
+    """Filtered signal of single pixels, and their own, shape (N, 2): see `filtered_pixel`."""
+    out = np.empty((len(xs), 2))
+    for n in range(len(xs)):
+        out[n, 0], out[n, 1] = filtered_pixel(image, level, half, xs[n], ys[n])
+    return out
 
 
 @kernel_part

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.tiles import select_kth
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
 
 _RING_PX = 8
 _GAP_PX = 2
@@ -23,6 +23,7 @@ _INFINITE_BITS = np.float32(np.inf).view(np.int32)
 FloatImage = NDArray[np.float32]
 
 Masks = NDArray[np.int32]
+Flags = NDArray[np.bool_]
 
 
 class Rings(NamedTuple):
@@ -67,39 +68,44 @@ class Stamp(NamedTuple):
     sample: FloatImage
 
 
-@kernel_part
-def stamp_of(rings: Rings) -> Stamp:
-    """Working space for the largest ring."""
-    pixels, filtered = rings.masks.shape[1], np.empty(rings.masks.shape[1], np.float32)
-    sample = np.empty(rings.positions.shape[1] + 1, np.float32)
-    return Stamp(filtered, filtered.view(np.int32), np.empty(2 * pixels, np.float32), sample)
-
-
-@kernel_part
-def is_clutter(
-    searched: Searched, x: int, y: int, radius: float, heights: tuple[float, float], rings: Rings, stamp: Stamp
-) -> bool:
-    """Whether a candidate fails to stand out of the ring around it.
+def are_clutter(
+    searched: Searched, x: IntArray, y: IntArray, radius_px: FloatArray, quiet: float, isolation: float
+) -> Flags:
+    """Which candidates fail to stand out of the ring around them.
 
     The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors, whose maxima count. One
     neighbour fills two of them, three with its wings; branches and leaves fill most. The candidate must be `isolation`
-    times as high as the fourth highest where that exceeds `quiet`, both above the ring's median. `heights` are these
-    two.
+    times as high as the fourth highest where that exceeds `quiet`, both above the ring's median.
 
     All this is asked of the image after the filter, see `startracker.detection.scan`.
     """
-    half, (quiet, isolation) = searched.half, heights
-    ring = int(min(np.ceil(radius), _LARGEST_RADIUS_PX))
-    outer = ring + _GAP_PX + _RING_PX
-    pitch = 2 * (outer + len(half)) - 1
-    filter_stamp(searched.image, searched.level, half, x, y, outer, stamp.work, stamp.filtered)
-    # most rings have nothing in them, which needs no sectors
-    if _is_calm(stamp.filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet):
-        return False
-    height = np.float64(stamp.filtered[outer * pitch + outer])
-    return bool(
-        _is_clutter(stamp.filtered, stamp.sample, rings.positions[ring], rings.ends[ring], height, quiet, isolation)
-    )
+    rings = rings_of(len(searched.half))
+    pixels, out = rings.masks.shape[1], np.empty(len(x), np.bool_)
+    filtered, sample = np.empty(pixels, np.float32), np.empty(rings.positions.shape[1] + 1, np.float32)
+    stamp = Stamp(filtered, filtered.view(np.int32), np.empty(2 * pixels, np.float32), sample)
+    ring = np.minimum(np.ceil(radius_px), _LARGEST_RADIUS_PX).astype(np.int64)
+    _mark_clutter(searched, np.column_stack([x, y, ring]), quiet, isolation, rings, stamp, out)
+    return out
+
+
+@kernel
+def _mark_clutter(
+    searched: Searched, candidates: IntArray, quiet: float, isolation: float, rings: Rings, stamp: Stamp, out: Flags
+) -> None:
+    """Which candidates, given by x, y and number of the ring (N, 3), are clutter: see `are_clutter`."""
+    half, filtered = searched.half, stamp.filtered
+    for n in range(len(candidates)):
+        ring = candidates[n, 2]
+        outer = ring + _GAP_PX + _RING_PX
+        pitch = 2 * (outer + len(half)) - 1
+        x, y = candidates[n, 0], candidates[n, 1]
+        filter_stamp(searched.image, searched.level, half, x, y, outer, stamp.work, filtered)
+        # most rings have nothing in them, which needs no sectors
+        calm = _is_calm(filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet)
+        height = np.float64(filtered[outer * pitch + outer])
+        out[n] = not calm and _is_clutter(
+            filtered, stamp.sample, rings.positions[ring], rings.ends[ring], height, quiet, isolation
+        )
 
 
 @kernel_part
@@ -127,10 +133,10 @@ def _is_clutter(
     stamp: FloatImage, sample: FloatImage, positions: IntArray, ends: IntArray, height: float, quiet: float,
     isolation: float,
 ) -> bool:  # fmt: skip
-    """Whether a candidate of a `height` fails to stand out of the maxima of its ring's sectors: see `is_clutter`."""
+    """Whether a candidate of a `height` fails to stand out of the maxima of its ring's sectors: see `are_clutter`."""
     # numbers without a sign as indices: one that may be negative costs a comparison each time
     n, count, zero = np.uint64(0), np.uint64(0), np.float32(0.0)
-    highest = (zero, zero, zero, zero)  # the four highest, falling
+    first = second = third = fourth = zero
     for sector in range(8):
         top, end = zero, np.uint64(ends[sector])
         while n < end:
@@ -140,21 +146,16 @@ def _is_clutter(
             count += np.uint64(finite)
             top = value if finite and value > top else top
             n += np.uint64(1)
-        a, b, c, d = highest
-        if top > a:
-            highest = (top, a, b, c)
-        elif top > b:
-            highest = (a, top, b, c)
-        elif top > c:
-            highest = (a, b, top, c)
-        elif top > d:
-            highest = (a, b, c, top)
-    fourth, taken = np.float64(highest[3]), np.int64(count)
+        fourth = max(fourth, min(third, top))
+        third = max(third, min(second, top))
+        second = max(second, min(first, top))
+        first = max(first, top)
+    taken = np.int64(count)
     # the median is below a value when more than half of the sample is
-    below, limit = 0, fourth - quiet
+    below, limit = 0, np.float64(fourth) - quiet
     for k in range(taken):
         below += sample[k] < limit
     if below <= taken // 2:
         return False
     median = select_kth(sample, 0, taken, taken // 2)
-    return bool(np.float64(height) - median < isolation * (fourth - median))
+    return bool(np.float64(height) - median < isolation * (np.float64(fourth) - median))

@@ -240,13 +240,15 @@ def _weighted_sums(
 ) -> tuple[float, float]:
     """Hᵀ V⁻¹ H and Hᵀ V⁻¹ r, written to `normal` and `right`; rᵀ V⁻¹ r and ln |V|. V has a systematic part (2, 2)."""
     normal[:], right[:] = 0.0, 0.0
-    total, log_det = 0.0, 0.0
+    total, log_det, last, log_last = 0.0, 0.0, 1.0, 0.0
     for n in range(len(stars.residual)):
         a, c = stars.covariance[n, 0, 0] + systematic[0, 0], stars.covariance[n, 1, 1] + systematic[1, 1]
         b = stars.covariance[n, 0, 1] + systematic[0, 1]
         det = a * c - b * b
         wa, wb, wc = c / det, -b / det, a / det
-        log_det += math.log(det)
+        if det != last:  # mostly that of the star before
+            last, log_last = det, math.log(det)
+        log_det += log_last
         x, y = stars.residual[n, 0], stars.residual[n, 1]
         total += x * (wa * x + wb * y) + y * (wb * x + wc * y)
         for i in range(len(right)):
@@ -286,7 +288,7 @@ def _fit_each_model(
             for j in range(2):
                 flat[i, j] = SYSTEMATIC[t] ** 2 * unit * shape[i, j]
         total, log_det = _weighted_sums(stars, columns, flat, normal, right)
-        rotation, _ = inverse(normal, 3)
+        rotation, log_rotation = inverse(normal, 3)
         for i in range(3):
             for j in range(3):
                 plain[t, i, j] = rotation[i, j]
@@ -299,7 +301,7 @@ def _fit_each_model(
             for k in range(3, size):
                 added[k, k] += 1.0 / prior_sigma[m, k] ** 2
                 log_prior -= 2.0 * math.log(prior_sigma[m, k])
-            covariance, log_normal = inverse(added, size)
+            covariance, log_normal = inverse(added, size) if size > 3 else (rotation, log_rotation)
             if not math.isfinite(log_normal):
                 continue
             chi2 = total

@@ -130,7 +130,7 @@ def correct(covariance: Matrix, innovation: Vector, noise: Matrix) -> Correction
 def _transformed(a: Matrix, p: Matrix, added: Matrix) -> Matrix:
     """A P Aᵀ and a symmetric matrix, all (6, 6).
 
-    A share of 2⁻²⁸ of the terms (2⁻²¹ in single precision) is added to the variances, in which the roundings of all are
+    A share of 2⁻²⁸ of the terms (2⁻²⁴ in single precision) is added to the variances, in which the roundings of all are
     lost: where an attitude is far better known than predicted, a variance of the rate could become negative.
     """
     first = [[_row(a[i], [p[k][j] for k in range(6)]) for j in range(6)] for i in range(6)]

@@ -44,6 +44,10 @@ WEIGHINGS = len(SCALES) + 3 * len(SCATTERS_MAG)
 """Times that `log_bayes_factor` goes through all depths and matches."""
 _SAMPLE = 24
 _USUAL_STARS = 250
+_ROUNDING = 1e-6
+"""More than the rounding errors of ln B."""
+_LOST = -37.0
+"""e^−37 is less than half the last digit of a number from 1 on, to which adding it changes nothing."""
 _LOG_SPHERE_OF_ROTATIONS = math.log(8.0 * math.pi**2)
 _ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
 
@@ -193,18 +197,26 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
     counts : CountTable
     """
     highest, total = -math.inf, 0.0
+    cumulative, matches = np.zeros(len(gain) + 1), 0  # sums of the largest gains within the depth
     for depth in range(1, in_field + 1):
-        log_weight = counts.log_weight[depth]
-        value, cumulative, m = log_weight[0], 0.0, 0
+        within = 0
         for k in range(len(gain)):
-            if rank[k] < depth:
-                m += 1
-                cumulative += gain[k]
-                value = max(value, cumulative + log_weight[m])
+            within += rank[k] < depth
+        if within > matches:
+            matches, last = 0, 0.0
+            for k in range(len(gain)):  # no branches: which of them are within cannot be predicted
+                added, is_within = last + gain[k], rank[k] < depth
+                cumulative[matches + 1] = added
+                last = added if is_within else last
+                matches += is_within
+        log_weight = counts.log_weight[depth]
+        value = log_weight[0]
+        for m in range(1, matches + 1):
+            value = max(value, cumulative[m] + log_weight[m])
         if value > highest:
             total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
             highest = value
-        else:
+        elif value > highest + _LOST:
             total += math.exp(value - highest)
     average: float = highest + math.log(total) - counts.log_total[in_field]
     return average
@@ -248,16 +260,30 @@ def _log_volume(information: FloatArray, scale: float, focal_sigma: float) -> fl
 
 
 @kernel
+def _most_gained(matched: Matched, seen: IntArray, scale: float, other: float) -> float:
+    """Most by which `_log_matches` without magnitudes can grow from errors of `scale` to `other` times the stated ones:
+    the sum over the stars whose density there is larger."""
+    total, wider = 0.0, 2.0 * math.log(other / scale)
+    for star in seen:
+        square = 0.5 * (matched.distance[star] / matched.sigma[star]) ** 2
+        total += max(square / scale**2 - square / other**2 - wider, 0.0)
+    return total
+
+
+@kernel
 def _log_matches(
     matched: Matched, seen: IntArray, area: float, scale: float, scatter: int, in_field: int, counts: CountTable
 ) -> float:
     """`log_assignments` with errors of `scale` times the stated ones; `scatter` of the magnitudes, −1: without."""
     gain, order = np.empty(len(seen)), np.empty(len(seen), np.int64)
     largest_first, ranks = np.empty(len(seen)), np.empty(len(seen), np.int64)
+    spread, log_density = 0.0, 0.0
     for k in range(len(seen)):
         star = seen[k]
-        spread = scale * matched.sigma[star]
-        gain[k] = 0.5 * (matched.distance[star] / spread) ** 2 - math.log(area / (2.0 * math.pi * spread**2))
+        if scale * matched.sigma[star] != spread:  # mostly that of the star before
+            spread = scale * matched.sigma[star]
+            log_density = math.log(area / (2.0 * math.pi * spread**2))
+        gain[k] = 0.5 * (matched.distance[star] / spread) ** 2 - log_density
         if scatter >= 0:
             gain[k] -= matched.log_ratio[scatter, star]
     order_of(gain, order)
@@ -298,6 +324,10 @@ def log_bayes_factor(
     volumes, best, highest = np.empty(len(SCALES)), 0, -math.inf
     for s in range(len(SCALES)):
         volumes[s] = _log_volume(information, SCALES[s], focal_sigma) + SCALE_LOG_PRIOR[s]
+        # no match can gain more than the sum of what each gains alone: most of the larger widths need no more
+        gain = volumes[s] - volumes[best] + _most_gained(matched, seen, SCALES[best], SCALES[s])
+        if s > 0 and gain < -_ROUNDING:
+            continue
         value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
         if value > highest:
             best, highest = s, value

@@ -121,7 +121,7 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
     """Result of `verify_attitude` as an object; None if fewer than three stars agree."""
     if not found.log_b > -math.inf:
         return None
-    stars = np.flatnonzero(found.guide_of >= 0)
+    stars = (found.guide_of >= 0).nonzero()[0]
     pairs = np.empty((len(stars), 2), np.int64)
     pairs[:, 0], pairs[:, 1] = stars, found.guide_of[stars]
     return Hypothesis(found.matrix, pairs, found.log_b, found.scale, found.in_field, math.exp(found.focal))

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks.flight_fuzz import WHAT, fuzz
+from benchmarks.flight_fuzz import CAMERAS, LONGEST, fuzz, fuzz_export
 from simulator.checks import load_scenario
 from simulator.cli.application import app
 from simulator.renderer import Renderer
 from simulator.study.exported_c.analysis import STRICT, analyze, cppcheck, solver_sources
 from simulator.study.exported_c.build import command, compile_export
-from simulator.study.exported_c.fuzz import missing_fuzzer
+from simulator.study.exported_c.fuzz import build_fuzzers, missing_fuzzer
 from simulator.study.exported_c.instructions import count_instructions, marked
 from simulator.study.exported_c.targets import CLANG, CORTEX_M4, EMULATED, HOST, M68K
 from simulator.study.flight.design import flight_design
@@ -181,7 +181,9 @@ def test_unit_tests_notice_a_wrong_answer(design, tmp_path):
         assert changed
         for file, content in {**export.files, name: text}.items():
             (folder / file).write_text(content)
-        assert subprocess.run(["make", "-C", str(folder), "test"], capture_output=True, check=False).returncode != 0
+        made = subprocess.run(["make", "-C", str(folder), "CFLAGS=-std=c99", "test"], capture_output=True, check=False)
+        assert made.returncode != 0
+        assert b"0 failed" not in made.stdout.splitlines()[-1]
 
 
 @needs_gcc
@@ -280,16 +282,44 @@ def test_sanitizers_find_nothing(arithmetic, identifier, frames, tmp_path):
     assert program.lists(texts) == lists
 
 
+needs_fuzzer = pytest.mark.skipif(missing_fuzzer() is not None, reason=str(missing_fuzzer()))
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(missing_fuzzer() is not None, reason=str(missing_fuzzer()))
+@needs_fuzzer
 @pytest.mark.parametrize("arithmetic", ["fixed", "float"])
-@pytest.mark.parametrize("what", list(WHAT))
-def test_ten_seconds_of_fuzzing_find_nothing(what, arithmetic, tmp_path):
-    (tmp_path / "c").mkdir()
-    result = fuzz(what, arithmetic, 10, tmp_path / "corpus", tmp_path / "c")
+@pytest.mark.parametrize("what", list(LONGEST))
+def test_five_seconds_of_fuzzing_find_nothing(what, arithmetic, tmp_path):
+    program = build_fuzzers(fuzz_export(CAMERAS[what], arithmetic), [what], tmp_path)[what]
+    result = fuzz(program, what, tmp_path / "corpus", 5)
     assert result.finding == ""
     assert result.executions > 100
-    assert result.edges > 400
+    assert result.edges > 150
+
+
+FAULTS = {
+    "front": ("components", "front->objects < TRACKER_FRONT_OBJECTS", "front->objects <= TRACKER_FRONT_OBJECTS"),
+    "frames": ("rows", "bridge->count == TRACKER_FRONT_HOT", "bridge->count == TRACKER_FRONT_HOT + 1"),
+    "search": ("search", "k > 0 && search->best[k - 1].evidence", "search->best[k - 1].evidence"),
+    "stars": ("solver", "found->best.guide[k] >= 0", "found->best.guide[k] >= -1"),
+    "pose": ("pose_fit", "c = (star[n].variance + added) >> shift", "c = (star[n].variance + added) >> 14"),
+    "filter": ("following", "if (f->innovations == WINDOW) {", "if (f->innovations > WINDOW) {"),
+    "session": ("following", "k < 4; k++)\n        to[k] = from[k]", "k <= 4; k++)\n        to[k] = from[k]"),
+}
+"""A fault for each fuzzer, an index or a shift: module, text, what replaces it."""
+
+
+@pytest.mark.slow
+@needs_fuzzer
+@pytest.mark.parametrize("what", list(FAULTS))
+def test_fuzzers_find_a_fault_in_seconds(what, tmp_path):
+    module, text, fault = FAULTS[what]
+    export = fuzz_export(CAMERAS[what], "fixed")
+    name = f"tracker_{module}.c"
+    assert export.files[name].count(text) == 1
+    export = replace(export, files={**export.files, name: export.files[name].replace(text, fault)})
+    program = build_fuzzers(export, [what], tmp_path)[what]
+    assert fuzz(program, what, tmp_path / "corpus", 20).finding  # within a second on an idle core
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import measure_shapes
 from startracker.detection.sources import SOURCE, Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
-from startracker.detection.surroundings import is_clutter, rings_of, stamp_of
+from startracker.detection.surroundings import are_clutter
 from startracker.detection.tiles import find_kth, smooth_tiles, tile_statistics, whole_step
 from startracker.detection.values import as_image, as_pixels, is_value
 
@@ -171,8 +171,7 @@ def test_clutter_against_its_definition(missing):
         median = np.sort(image[ring])[ring.sum() // 2]
         fourth = np.sort(tops)[4] - median
         expected[n] = fourth > 4.0 and 12.0 - median < 2.0 * fourth
-    rings, searched = rings_of(len(UNFILTERED)), Searched(image, level, level, UNFILTERED)
-    found = [is_clutter(searched, *at, (4.0, 2.0), rings, stamp_of(rings)) for at in zip(x, y, radius, strict=True)]
+    found = are_clutter(Searched(image, level, level, UNFILTERED), x, y, radius, 4.0, 2.0)
     assert np.array_equal(found, expected)
     assert 5 < expected.sum() < 75
 

@@ -5,7 +5,7 @@
 #define TERMS 8
 #define MOST_PARTS 64
 #ifdef TRACKER_FLOAT
-#define ROUNDING (-21)
+#define ROUNDING (-24)
 #else
 #define ROUNDING (-28)
 #endif

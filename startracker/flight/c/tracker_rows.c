@@ -288,6 +288,7 @@ static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y
     kept->noise = here.noise;
     kept->height = here.height;
     copy_stamp(rows, kept);
+    tracker_front_level(rows, cell, kept);
     rows->worst = -1;
 }
 
