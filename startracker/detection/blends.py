@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
@@ -11,8 +10,6 @@ from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.thresholds import BLEND_LEAST_PX2, BLEND_PIXELS, RING_SHARE, VALLEY_SHARE, VALLEY_SIGMA
 from startracker.detection.values import Image
 from startracker.kernels import kernel, kernel_part
-
-Flags = NDArray[np.bool_]
 
 _FAR_PX2 = 1 << 62
 
@@ -66,55 +63,67 @@ def part_blends(
     there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
     than six or more than `most_pixels` pixels stay whole.
     """
-    sizes = table["pixels"]
-    whole = (sizes < BLEND_PIXELS) | (sizes > most_pixels)
-    found = np.empty((int(np.sum(runs[:, 2] - runs[:, 1])) + 1, 3), np.int64)
-    found = found[: _find_peaks(runs, number, whole, image, found)]
-    found = found[np.bincount(found[:, 2], minlength=len(table))[found[:, 2]] > 1]
-    if not len(found):
+    most = int(np.sum(runs[:, 2] - runs[:, 1])) + 1
+    peaks, heights = np.empty((most, 3), np.int64), np.empty(most)
+    count = _find_peaks(runs, number, table, most_pixels, image, level, peaks, heights)
+    of = peaks[:count, 2]
+    several = np.flatnonzero(np.bincount(of, minlength=len(table))[of] > 1)
+    if not len(several):
         return table, 0
-    heights = image[found[:, 1], found[:, 0]].astype(np.float64) - level[found[:, 1], found[:, 0]]
-    order = np.lexsort((-heights, found[:, 2]))
-    peaks, heights = found[order], heights[order]
+    order = several[np.lexsort((-heights[several], of[several]))]
+    peaks, heights = peaks[order], heights[order]
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
     head, following = np.full(len(table), -1), np.full(len(peaks), -1)
-    depths = VALLEY_SIGMA * noise[peaks[:, 1], peaks[:, 0]].astype(np.float64)
-    _chain_peaks(peaks, heights, depths, image, level, head, following)
-    several = (head >= 0) & (following[head] >= 0)
-    if not several.any():
+    _chain_peaks(peaks, heights, image, level, noise, head, following)
+    parted = (head >= 0) & (following[head] >= 0)
+    if not parted.any():
         return table, 0
-    head[~several] = -1
+    head[~parted] = -1
     parts = np.zeros(len(peaks), SOURCE)
     _share_pixels(runs, head[number], following, peaks, image, level, np.float32(saturation), parts)
     # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
     kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= heights)
-    return np.concatenate([table[~several], parts[kept]]), int(np.count_nonzero(several))
+    joined = np.concatenate([table.take(np.flatnonzero(~parted)), parts.take(np.flatnonzero(kept))])
+    return joined, int(np.count_nonzero(parted))
 
 
 @kernel
-def _find_peaks(runs: IntArray, number: IntArray, whole: Flags, image: Image, peaks: IntArray) -> int:
-    """Fill x, y and object of the highest pixels of their neighbourhoods in objects that may be parted; how many."""
+def _find_peaks(
+    runs: IntArray,
+    number: IntArray,
+    table: Sources,
+    most_pixels: int,
+    image: Image,
+    level: Plane,
+    peaks: IntArray,
+    heights: FloatArray,
+) -> int:
+    """Fill x, y, object and signal of the highest pixels of their neighbourhoods in objects of some sizes; how many."""
     last = np.uint64(0)
     for index in range(len(runs)):
         of, y = number[index], np.uint64(runs[index, 0])
-        if whole[of]:
+        if not BLEND_PIXELS <= table[of]["pixels"] <= most_pixels:
             continue
         for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
             # written for every pixel, kept for peaks
             peaks[last, 0], peaks[last, 1], peaks[last, 2] = x, y, of
             last += np.uint64(_is_peak(image, x, y))
+    for peak in range(last):
+        x, y = peaks[peak, 0], peaks[peak, 1]
+        heights[peak] = np.float64(image[y, x]) - np.float64(level[y, x])
     return int(np.int64(last))
 
 
 @kernel
 def _chain_peaks(
-    peaks: IntArray, heights: FloatArray, depths: FloatArray, image: Image, level: Plane, head: IntArray,
+    peaks: IntArray, heights: FloatArray, image: Image, level: Plane, noise: Plane, head: IntArray,
     following: IntArray,
 ) -> None:  # fmt: skip
     """Chain the peaks of each object, given by falling height, that a valley separates from those before."""
     for peak in range(len(peaks)):
         x, y, of = peaks[peak, 0], peaks[peak, 1], peaks[peak, 2]
-        separate, other, height = True, head[of], heights[peak]
+        other, height, depth = head[of], heights[peak], VALLEY_SIGMA * noise[y, x]
+        separate = True
         while other >= 0 and separate:
             dx, dy = x - peaks[other, 0], y - peaks[other, 1]
             least = _valley(image, level, x, y, peaks[other, 0], peaks[other, 1])
@@ -122,7 +131,7 @@ def _chain_peaks(
                 dx * dx + dy * dy >= BLEND_LEAST_PX2
                 and height > RING_SHARE * heights[other]
                 and least < VALLEY_SHARE * height
-                and height - least > depths[peak]
+                and height - least > depth
             )
             other = following[other]
         if separate:
