@@ -34,7 +34,10 @@ TARGETS = {"m4": CORTEX_M4, "m7": CORTEX_M7, "68k": M68K, "rv64": RISCV64, "rv32
 STAGES = {
     "background, detection": ("front", "rows", "background", "components"),
     "centroids": ("stamps", "fit"),
-    "identification": ("search", "votes", "verify", "evidence", "triads", "triangles", "verification"),
+    "identification": (
+        *("search", "votes", "pair", "candidates", "confirm", "verify", "evidence"),
+        *("triads", "triad_votes", "cordic", "verification"),
+    ),
     "attitude": ("pose", "pose_fit", "arithmetic", "following", "attitude_filter", "attitude"),
     "directions, integers, library": ("directions", "integers", "separations", "library", "frame"),
 }

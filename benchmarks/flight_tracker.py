@@ -1,6 +1,6 @@
 """Identification of the flight build in C compared with `StarTracker`, on the same lists of stars, lost in space.
 
-nice python -m benchmarks.flight_tracker [--camera cubesat ...] [--n 420] [--rate 1e-7] [--seed 1]
+nice python -m benchmarks.flight_tracker [--camera cubesat ...] [--identifier triads] [--n 420] [--rate 1e-7] [--seed 1]
 
 For each camera and kind of field: lists that `StarTracker.solve_centroids` and the C solve, that only one of them does;
 attitudes of the C off by more than 0.1 degrees, which are wrong, and beyond 5 sigma of their covariance; true stars
@@ -32,7 +32,7 @@ from simulator.study.exported_c.build import Build, compile_export
 from startracker import Camera, StarTracker
 from startracker.arrays import FloatArray, IntArray
 from startracker.attitude import Attitude
-from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import flight_export
 from startracker.flight.stars import StarList
 
@@ -102,13 +102,15 @@ def solved_by(build: Build, lists: Sequence[StarList]) -> list[Answer]:
     return [Answer.of_line(line) for line in lines]
 
 
-def make(name: str, rate: float, folder: Path) -> tuple[StarTracker, Build]:
+def make(name: str, identifier: str, rate: float, folder: Path) -> tuple[StarTracker, Build]:
     """The tracker of a camera, and its flight build, compiled in a folder."""
     fov, limit = CAMERAS[name]
-    tracker = StarTracker(Camera.from_fov(fov_deg=fov, width=1024, height=1024), magnitude_limit=limit)
+    camera = Camera.from_fov(fov_deg=fov, width=1024, height=1024)
+    tracker = StarTracker(camera, magnitude_limit=limit, identifier=identifier)
     settings = replace(tracker.identification, false_alarm_rate=rate)
     tracker.identification = settings
-    design = FlightDesign(tracker.camera, tracker.guide, DetectorNumbers(1.0, 10.0, 4095), 0.9, identification=settings)
+    numbers = DetectorNumbers(1.0, 10.0, 4095)
+    design = FlightDesign(camera, tracker.guide, numbers, 0.9, identification=settings, identifier=identifier)
     return tracker, compile_export(flight_export(design), folder)
 
 
@@ -151,6 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run all kinds; returns 1 if anything was wrong."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--camera", choices=CAMERAS, action="append")
+    parser.add_argument("--identifier", choices=IDENTIFIERS, default="adaptive")
     parser.add_argument("--n", type=int, default=420, help="lists of each kind of field")
     parser.add_argument("--null", type=int, default=100, help="lists of each kind that is not a sky")
     parser.add_argument("--rate", type=float, default=1e-7, help="false-alarm rate")
@@ -159,7 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     wrong = 0
     for name in options.camera or CAMERAS:
         with tempfile.TemporaryDirectory() as folder:
-            tracker, build = make(name, options.rate, Path(folder))
+            tracker, build = make(name, options.identifier, options.rate, Path(folder))
             memory = f"tables {build.table_bytes:,}, code {build.code_bytes:,}, context {build.context_bytes:,}"
             print(f"{name}: bytes of {memory}")
             print(COLUMNS)

@@ -48,8 +48,6 @@ _MOST_FIT = 0.85
 NAMED_PX, BY_CHANCE = 2.5, 0.02
 """Maximum distance at which a centroid is identified with a guide star, and maximum fraction of guide stars that would
 have a centroid at this distance by chance."""
-_UNKNOWNS = 3
-"""Number of the camera's unknowns in every `Pose`: focal length and shears."""
 _MISFITTING = 0.01
 """Probability that star images are as assumed, below which errors may depend on the sub-pixel position."""
 RATE_SIGMA_RAD_S = math.radians(2.0)
@@ -170,13 +168,14 @@ def _matched(
     """Pairs that agree with the attitude of the previous pairs, iterated until unchanged; their attitude, and the
     camera."""
     sky, fewest, settled, matrix = guide.directions, len(used), False, np.zeros((3, 3))
-    field = _field(guide, camera)
+    field = Field(sky, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
     for _ in range(12):
         matrix, reference = _first_fit(used, directions, sky, sigma, matrix)
         if free_focal:
             chosen = used[:, 0]
             camera, matrix = _refocused(camera, matrix, xy[chosen], reference, sigma[chosen])
-            directions, field = camera.unproject(xy), _field(guide, camera)
+            directions = camera.unproject(xy)
+            field = field._replace(cosine=field_cosine(camera, MARGIN_PX), image=camera.image_map)
         if settled:
             break
         fitting, settled = matched_again(used, matrix, reference, xy, sigma, known, field)
@@ -191,11 +190,6 @@ def _matched(
         more, _ = matched_again(used, matrix, reference, xy, wide, known, field)
         used = more if len(more) >= len(used) else used
     return used, matrix, camera
-
-
-def _field(guide: GuideDatabase, camera: Camera) -> Field:
-    """The guide stars as `matched_again` takes them."""
-    return Field(guide.directions, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
 
 
 class _Fit(NamedTuple):
@@ -327,9 +321,8 @@ class _Field:
         index, vectors, pixels = stars_on_image(
             matrix, field_cosine(camera, MARGIN_PX), MARGIN_PX, guide.directions, guide.grid, camera.image_map
         )
-        slopes, offset = np.empty((0, 2, 3)), pixels - self.centre_px
-        if len(pose.unknowns) > _UNKNOWNS:  # other than the camera's
-            slopes = pixel_slopes(vectors, camera.image_map)
+        offset, moves = pixels - self.centre_px, self.observer is None or camera.row_time_s != 0.0
+        slopes = pixel_slopes(vectors, camera.image_map) if moves else np.empty((0, 2, 3))
         extra, _ = self._extra(index, matrix, slopes, offset)
         return index, pixels, displacements(offset, extra, pose.unknowns)
 

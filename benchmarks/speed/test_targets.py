@@ -10,8 +10,8 @@ from benchmarks.scenes import SceneMaker
 from benchmarks.speed.workload import CUBESAT, PLAIN, even_scenario, expose, renderer, scene, small_scenario
 from simulator import Scenario
 from simulator.study.trials.blocks import run_block
-from simulator.study.trials.trial import TrialRunner
-from startracker import StarTracker, TrackingSession, load_catalog
+from simulator.study.trials.trial import TrialRunner, build_tracker
+from startracker import Attitude, Observer, StarTracker, TrackingSession, load_catalog
 from startracker.catalog import guide as guides
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
@@ -24,7 +24,7 @@ from startracker.solution import Status
 from startracker.tracker import STATED_PX
 
 CASE = CASES["10deg 6.0, 0.1 px"]
-SCENES, TRIALS = 2000, 25
+SCENES, TRIALS, NOISE_PX = 2000, 25, 0.1
 
 
 def test_cubesat_frame(timed):
@@ -83,6 +83,25 @@ def test_identification(timed, benchmark):
 def test_solve_centroids(timed):
     maker, tracker = SceneMaker(CASE, 4), StarTracker(CASE.camera(), magnitude_limit=CASE.magnitude_limit)
     timed(lambda given: tracker.solve_centroids(given.xy, given.flux), maker.scene, SCENES, 20)
+
+
+def test_solve_centroids_observed(timed):
+    """The camera and the tracker of `cubesat_ideal.yaml`, an observer in motion, and stated errors."""
+    made = renderer(Scenario.load(CUBESAT))
+    tracker, observer = (
+        build_tracker(made.scenario, made.camera),
+        Observer(2026.2, (10.0, -25.0, 12.0), (-0.9, 0.4, 0.2)),
+    )
+    guide = tracker.guide.seen_by(observer)
+
+    def field(index):
+        rng = np.random.default_rng(index)
+        while True:
+            which, _, xy = guide.in_field(Attitude(rng.normal(size=4)).as_matrix())
+            if 20 <= len(which) <= 40:
+                return xy + NOISE_PX * rng.normal(size=xy.shape), 10.0 ** (-0.4 * guide.v_mag[which])
+
+    timed(lambda given: tracker.solve_centroids(*given, sigma_px=NOISE_PX, observer=observer), field, SCENES, 20)
 
 
 def test_database(timed, benchmark):

@@ -323,7 +323,12 @@ class ExportRequest:
     ] = None
     identifier: Annotated[
         str | None,
-        option("--identifier", "NAME", "adaptive, the default; triads are exported without --scenario.", _FLIGHT),
+        option(
+            "--identifier",
+            "NAME",
+            "adaptive or triads; default: the scenario's if it is triads, else adaptive.",
+            _FLIGHT,
+        ),
     ] = None
     size: Annotated[str, option("--size", "WxH", "Image size, pixels.", _TRIADS)] = "427x319"
     fov: Annotated[str, option("--fov", "WxH", "Field of view, degrees.", _TRIADS)] = "9.0130x6.9049"

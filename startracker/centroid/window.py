@@ -79,7 +79,9 @@ def read_pixels(
 
     Those that do not, as they are not finite or at the ceiling, have no signal and an infinite variance.
     """
-    image, level, noise, count, n = pixels.image, pixels.level, pixels.noise, 0, np.uint64(0)
+    image, level, noise = pixels.image, pixels.level, pixels.noise
+    n = np.uint64(0)
+    count = 0
     for j in range(top, top + high):
         values = image[j, left : left + wide]
         upper, lower, share = _row_of(level, j, left, wide)
@@ -108,19 +110,20 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
     -----
     var(m_x) = Σ (k − m_x)² v_k / S², v = noise² + max(signal, 0) / gain: pixels independent, first order in noise.
     """
-    image, level, noise, inverse_gain = pixels.image, pixels.level, pixels.noise, pixels.inverse_gain
+    image, level, noise = pixels.image, pixels.level, pixels.noise
+    inverse_gain = pixels.inverse_gain
     height, width = image.shape
     low_x, high_x = -min(half, x), min(half, width - 1 - x)
     low_y, high_y = -min(half, y), min(half, height - 1 - y)
     left, wide = x + low_x, high_x - low_x + 1
     # sums of the signal and of its variance, times 1, i, j, i², j², ij
-    s, si, sj, sii, sjj = 0.0, 0.0, 0.0, 0.0, 0.0
-    v, vi, vj, vii, vjj, vij = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    s = si = sj = sii = sjj = 0.0
+    v = vi = vj = vii = vjj = vij = 0.0
     for j in range(low_y, high_y + 1):
         values = image[y + j, left : left + wide]
         upper, lower, share = _row_of(level, y + j, left, wide)
         quiet, loud, part = _row_of(noise, y + j, left, wide)
-        row, row_i, row_ii, noisy, noisy_i, noisy_ii = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        row = row_i = row_ii = noisy = noisy_i = noisy_ii = 0.0
         for n in range(wide):
             i = low_x + n
             signal = np.float64(values[n]) - np.float64(upper[n] + share * (lower[n] - upper[n]))
@@ -128,15 +131,10 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
             variance = sigma * sigma + max(signal, 0.0) * inverse_gain
             row, row_i, row_ii = row + signal, row_i + signal * i, row_ii + signal * i * i
             noisy, noisy_i, noisy_ii = noisy + variance, noisy_i + variance * i, noisy_ii + variance * i * i
-        s, si, sj, sii, sjj = s + row, si + row_i, sj + row * j, sii + row_ii, sjj + row * j * j
-        v, vi, vj, vii, vjj, vij = (
-            v + noisy,
-            vi + noisy_i,
-            vj + noisy * j,
-            vii + noisy_ii,
-            vjj + noisy * j * j,
-            vij + noisy_i * j,
-        )
+        s, si, sj = s + row, si + row_i, sj + row * j
+        sii, sjj = sii + row_ii, sjj + row * j * j
+        v, vi, vj = v + noisy, vi + noisy_i, vj + noisy * j
+        vii, vjj, vij = vii + noisy_ii, vjj + noisy * j * j, vij + noisy_i * j
     mx, my = si / s, sj / s
     noise_x, noise_y = vii - 2.0 * mx * vi + mx * mx * v, vjj - 2.0 * my * vj + my * my * v
     noise_xy = vij - mx * vj - my * vi + mx * my * v
@@ -207,7 +205,6 @@ def _centre(
     return centre, slope, light
 
 
-@kernel
 def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma_y: float, correct: bool) -> FloatArray:
     """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where no star image is found.
 
@@ -219,20 +216,25 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
         Whether to take the bias off; the flux is corrected for the window either way.
     """
     out = np.full((len(peaks.x), MEASURED), np.nan)
-    centres_x, centres_y = centres_of_means(sigma_x, half), centres_of_means(sigma_y, half)
+    centres = np.stack([centres_of_means(sigma_x, half), centres_of_means(sigma_y, half)])
+    _measure(pixels, peaks, half, np.array([sigma_x, sigma_y]), correct, centres, out)
+    # known no better than a star image, or a pixel, is wide: it is not a star image
     limit = max(sigma_x, sigma_y, 1.0) ** 2
+    out[((out[:, 3] > limit) | (out[:, 4] > limit)) & ~peaks.saturated] = np.nan
+    return out
+
+
+@kernel
+def _measure(
+    pixels: Pixels, peaks: Peaks, half: int, sigma: FloatArray, correct: bool, centres: FloatArray, out: FloatArray
+) -> None:
+    """Rows of `measure_stars`; `centres` as of `centres_of_means` for either axis."""
     for index in range(len(out)):
         row = out[index]
         if peaks.saturated[index]:
             _measure_flat_top(pixels, peaks, index, half, row)
-            continue
-        _measure_star(
-            pixels, peaks.x[index], peaks.y[index], half, (sigma_x, sigma_y), correct, (centres_x, centres_y), row
-        )
-        # known no better than a star image, or a pixel, is wide: it is not a star image
-        if max(row[3], row[4]) > limit:
-            row[:] = np.nan
-    return out
+        else:
+            _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, row)
 
 
 @kernel_part
@@ -257,9 +259,9 @@ def _measure_star(
     x: int,
     y: int,
     half: int,
-    sigma: tuple[float, float],
+    sigma: FloatArray,
     correct: bool,
-    centres: tuple[FloatArray, FloatArray],
+    centres: FloatArray,
     out: FloatArray,
 ) -> None:
     """Row of a star by its corrected moment, the window moved until its middle pixel holds the centre."""
@@ -272,7 +274,8 @@ def _measure_star(
             dx, slope_x, light_x = _centre(w[1], sigma[0], int(w[8]), int(w[9]), half, centres[0])
             dy, slope_y, light_y = _centre(w[2], sigma[1], int(w[10]), int(w[11]), half, centres[1])
         else:
-            dx, dy, slope_x, slope_y = w[1], w[2], 1.0, 1.0
+            dx, dy = w[1], w[2]
+            slope_x = slope_y = 1.0
             light_x = window_moments(dx, sigma[0], int(w[8]), int(w[9]))[0]
             light_y = window_moments(dy, sigma[1], int(w[10]), int(w[11]))[0]
         x_next = min(max(x + round(min(max(dx, -half), half)), 0), width - 1)

@@ -53,7 +53,6 @@ def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> f
     return least
 
 
-@kernel
 def part_blends(
     runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image, level: Plane, noise: Plane,
     saturation: float,
@@ -64,113 +63,92 @@ def part_blends(
     there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
     than six or more than `most_pixels` pixels stay whole.
     """
-    peaks = _find_peaks(runs, number, table, most_pixels, image)
-    if not len(peaks):
+    most = int(np.sum(runs[:, 2] - runs[:, 1])) + 1
+    peaks, heights = np.empty((most, 3), np.int64), np.empty(most)
+    count = _find_peaks(runs, number, table, most_pixels, image, level, peaks, heights)
+    of = peaks[:count, 2]
+    several = np.flatnonzero(np.bincount(of, minlength=len(table))[of] > 1)
+    if not len(several):
         return table, 0
-    heights = np.empty(len(peaks))
-    for peak in range(len(peaks)):
-        x, y = peaks[peak, 0], peaks[peak, 1]
-        heights[peak] = np.float64(image[y, x]) - np.float64(level[y, x])
+    order = several[np.lexsort((-heights[several], of[several]))]
+    peaks, heights = peaks[order], heights[order]
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
     head, following = np.full(len(table), -1), np.full(len(peaks), -1)
-    parted = _chain_peaks(peaks, heights, image, level, noise, head, following)
-    if not parted:
+    _chain_peaks(peaks, heights, image, level, noise, head, following)
+    parted = (head >= 0) & (following[head] >= 0)
+    if not parted.any():
         return table, 0
-    parts = _share_pixels(runs, number, head, following, peaks, image, level, np.float32(saturation))
-    out, count = np.empty(len(table) + len(parts), SOURCE), 0
-    for n in range(len(table)):
-        if not _has_several(head[n], following):
-            out[count] = table[n]
-            count += 1
-    for n in range(len(parts)):
-        # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
-        if parts[n]["pixels"] > 0 and parts[n]["peak_residual"] <= heights[n]:
-            out[count] = parts[n]
-            count += 1
-    return out[:count], parted
+    head[~parted] = -1
+    parts = np.zeros(len(peaks), SOURCE)
+    _share_pixels(runs, head[number], following, peaks, image, level, np.float32(saturation), parts)
+    # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
+    kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= heights)
+    joined = np.concatenate([table.take(np.flatnonzero(~parted)), parts.take(np.flatnonzero(kept))])
+    return joined, int(np.count_nonzero(parted))
 
 
-@kernel_part
-def _has_several(head: int, following: IntArray) -> bool:
-    """Whether a chain has more than one peak."""
-    return head >= 0 and following[head] >= 0
-
-
-@kernel_part
-def _find_peaks(runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image) -> IntArray:
-    """x, y and object (P, 3) of the highest pixels of their neighbourhoods in objects that have several."""
-    pixels = 1
-    for index in range(len(runs)):
-        pixels += runs[index, 2] - runs[index, 1]
-    peaks, last, seen = np.empty((pixels, 3), np.int64), np.uint64(0), np.zeros(len(table), np.int64)
+@kernel
+def _find_peaks(
+    runs: IntArray,
+    number: IntArray,
+    table: Sources,
+    most_pixels: int,
+    image: Image,
+    level: Plane,
+    peaks: IntArray,
+    heights: FloatArray,
+) -> int:
+    """Fill x, y, object and signal of the highest pixels of their neighbourhoods in objects of some sizes; how many."""
+    last = np.uint64(0)
     for index in range(len(runs)):
         of, y = number[index], np.uint64(runs[index, 0])
         if not BLEND_PIXELS <= table[of]["pixels"] <= most_pixels:
             continue
         for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
             # written for every pixel, kept for peaks
-            peak = _is_peak(image, x, y)
             peaks[last, 0], peaks[last, 1], peaks[last, 2] = x, y, of
-            last += np.uint64(peak)
-            seen[of] += np.int64(peak)
-    kept = 0
-    for peak in range(np.int64(last)):
-        if seen[peaks[peak, 2]] > 1:
-            peaks[kept, 0], peaks[kept, 1], peaks[kept, 2] = peaks[peak, 0], peaks[peak, 1], peaks[peak, 2]
-            kept += 1
-    return peaks[:kept]
+            last += np.uint64(_is_peak(image, x, y))
+    for peak in range(last):
+        x, y = peaks[peak, 0], peaks[peak, 1]
+        heights[peak] = np.float64(image[y, x]) - np.float64(level[y, x])
+    return int(np.int64(last))
 
 
-@kernel_part
+@kernel
 def _chain_peaks(
     peaks: IntArray, heights: FloatArray, image: Image, level: Plane, noise: Plane, head: IntArray,
     following: IntArray,
-) -> int:  # fmt: skip
-    """Chain the peaks of each object, by falling height, that a valley separates from those before; the number of
-    objects that have several."""
-    first, after, parted = np.full(len(head), -1), np.full(len(peaks), -1), 0
+) -> None:  # fmt: skip
+    """Chain the peaks of each object, given by falling height, that a valley separates from those before."""
     for peak in range(len(peaks)):
-        of = peaks[peak, 2]
-        before, other = -1, first[of]
-        while other >= 0 and heights[other] >= heights[peak]:
-            before, other = other, after[other]
-        after[peak] = other
-        if before < 0:
-            first[of] = peak
-        else:
-            after[before] = peak
-    for of in range(len(first)):
-        candidate = first[of]
-        while candidate >= 0:
-            x, y = peaks[candidate, 0], peaks[candidate, 1]
-            separate, other, height, depth = True, head[of], heights[candidate], VALLEY_SIGMA * noise[y, x]
-            while other >= 0 and separate:
-                dx, dy = x - peaks[other, 0], y - peaks[other, 1]
-                least = _valley(image, level, x, y, peaks[other, 0], peaks[other, 1])
-                separate = (
-                    dx * dx + dy * dy >= BLEND_LEAST_PX2
-                    and height > RING_SHARE * heights[other]
-                    and least < VALLEY_SHARE * height
-                    and height - least > depth
-                )
-                other = following[other]
-            if separate:
-                following[candidate], head[of] = head[of], candidate
-            candidate = after[candidate]
-        parted += _has_several(head[of], following)
-    return parted
+        x, y, of = peaks[peak, 0], peaks[peak, 1], peaks[peak, 2]
+        other, height, depth = head[of], heights[peak], VALLEY_SIGMA * noise[y, x]
+        separate = True
+        while other >= 0 and separate:
+            dx, dy = x - peaks[other, 0], y - peaks[other, 1]
+            least = _valley(image, level, x, y, peaks[other, 0], peaks[other, 1])
+            separate = (
+                dx * dx + dy * dy >= BLEND_LEAST_PX2
+                and height > RING_SHARE * heights[other]
+                and least < VALLEY_SHARE * height
+                and height - least > depth
+            )
+            other = following[other]
+        if separate:
+            following[peak] = head[of]
+            head[of] = peak
 
 
-@kernel_part
+@kernel
 def _share_pixels(
-    runs: IntArray, number: IntArray, head: IntArray, following: IntArray, peaks: IntArray, image: Image, level: Plane,
-    saturation: float,
-) -> Sources:  # fmt: skip
-    """Table of the peaks: the pixels of the objects that have several, each given to the nearest peak of its chain."""
-    parts, (height, width) = np.zeros(len(peaks), SOURCE), image.shape
+    runs: IntArray, heads: IntArray, following: IntArray, peaks: IntArray, image: Image, level: Plane,
+    saturation: float, parts: Sources,
+) -> None:  # fmt: skip
+    """Add the pixels of runs, each to the nearest peak of the chain whose head is given; −1: the run is not shared."""
+    height, width = image.shape
     for index in range(len(runs)):
-        y, first = runs[index, 0], head[number[index]]
-        if not _has_several(first, following):
+        y, first = runs[index, 0], heads[index]
+        if first < 0:
             continue
         for x in range(runs[index, 1], runs[index, 2]):
             nearest, best, other = -1, _FAR_PX2, first
@@ -184,4 +162,3 @@ def _share_pixels(
             add_pixel(part, x, y, image[y, x], level[y, x], saturation)
             if x == 0 or y == 0 or x == width - 1 or y == height - 1:
                 part["edge"] = True
-    return parts

@@ -31,6 +31,8 @@ REASONS = (
     FAINTER,
 )
 """The other classes in words, in their order."""
+_SHAPE_PIXELS = 3
+"""Pixels from which a source has a shape."""
 _MORE = 8
 """Sources examined at once beyond those that would be enough if four of five are stars."""
 
@@ -83,8 +85,9 @@ class _Examined:
     def __init__(self, table: Sources, saturated: Flags, searched: Searched, criteria: Criteria) -> None:
         self.table, self.saturated, self.searched, self.criteria = table, saturated, searched, criteria
         self.long = measure_forms(table, criteria.max_axis_ratio).long
-        judged = criteria.reject_hits & ~(saturated | table["edge"])
-        self.sharpness = sharpest_star(table, judged, searched)
+        self.pixels = np.column_stack([table["x_peak"], table["y_peak"]])
+        judged = criteria.reject_hits & ~(saturated | table["edge"]) & (table["pixels"] >= _SHAPE_PIXELS)
+        self.sharpness = sharpest_star(self.pixels, judged, searched)
         # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
         may_be_sharp = ~table["edge"] & (~saturated | (table["saturated"] == 1))
         self.may_be_sharp = may_be_sharp & (self.sharpness.limit_px2 > 0.0)
@@ -111,16 +114,14 @@ class _Examined:
         kind = np.full(len(which), STAR)
         asked = np.flatnonzero(self.may_be_sharp[which])
         if len(asked):
-            sharp, shapes = sharp_shapes(self.table, which[asked], self.sharpness, self.searched)
+            sharp, shapes = sharp_shapes(self.pixels, which[asked], self.sharpness, self.searched)
             hit = np.where(shapes[:, PEAK_SHARE] > ONE_PIXEL_SHARE, _ONE_PIXEL, _COSMIC_RAY)
             kind[asked] = np.where(sharp, hit, STAR)
         kind[(kind == STAR) & self.long[which]] = _LONG
         asked = np.flatnonzero((kind == STAR) & ~self.saturated[which])
         if self.criteria.isolation > 0.0 and len(asked):
-            table, criteria = self.table.take(which[asked]), self.criteria
-            radius = np.sqrt(table["pixels"] / np.pi)
-            clutter = are_clutter(
-                self.searched, table["x_peak"], table["y_peak"], radius, criteria.quiet, criteria.isolation
-            )
+            quiet, isolation, asked_for = self.criteria.quiet, self.criteria.isolation, which[asked]
+            radius_px = np.sqrt(self.table["pixels"][asked_for] / np.pi)
+            clutter = are_clutter(self.searched, self.pixels[asked_for], radius_px, quiet, isolation)
             kind[asked[clutter]] = _CLUTTER
         return kind

@@ -15,17 +15,16 @@ from startracker.detection.shapes import (
     PEAK_SHARE,
     SHAPE_COLUMNS,
     SHAPE_SNR,
-    measure_shapes,
+    shapes_at,
 )
-from startracker.detection.sources import Searched, Sources
-from startracker.detection.stamps import filtered_pixels
+from startracker.detection.sources import Searched
+from startracker.detection.stamps import are_peaked
 from startracker.detection.thresholds import (
     COMMON_WIDTH_RATIO,
     FEWEST_WIDE,
     HOT_PEAK_SHARE,
     HOT_SHARE,
     MANY_SHARP,
-    PEAK_ERRORS,
     SHARP_ERRORS,
     SHARP_SHARE,
     SHARPEST_STARS_PX2,
@@ -41,7 +40,6 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 _WEIGHT_PX = 1.2
 _WEIGHTS = 3
 _WIDTH_STARS = 40
-_SHAPE_PIXELS = 3
 
 
 class Sharpness(NamedTuple):
@@ -74,25 +72,26 @@ def common_width(variance: FloatArray) -> float:
     return float(0.5 * (values[(first + last) // 2] + values[(first + last + 1) // 2]))
 
 
-def sharpest_star(table: Sources, judged: Flags, searched: Searched) -> Sharpness:
+def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched) -> Sharpness:
     """Least variance along the minor axis that a star image of the frame can have.
 
     The stars' common variance is that of the first forty clear ones among the eighty brightest sources that are
-    `judged`, or of what is not a hot pixel where hot pixels are nearly all.
+    `judged`, or of what is not a hot pixel where hot pixels are nearly all. `pixels` (N, 2) are the sources' brightest,
+    x and y.
     """
-    candidates = np.flatnonzero(judged & (table["pixels"] >= _SHAPE_PIXELS))
+    candidates = np.flatnonzero(judged)
     brightest, rest = candidates[: 2 * _WIDTH_STARS], candidates[2 * _WIDTH_STARS :]
-    shapes, width = np.full((len(table), SHAPE_COLUMNS), np.nan), math.nan
+    shapes, width = np.full((len(pixels), SHAPE_COLUMNS), np.nan), math.nan
     examined, weight_px = brightest, _WEIGHT_PX
     for attempt in range(_WEIGHTS):
-        shapes[examined] = _shapes_of(table, examined, searched, weight_px)
+        shapes[examined] = shapes_at(*searched[:3], pixels[examined], weight_px)
         if attempt == _WEIGHTS - 1:
             break
         clear = shapes[brightest]
         width = common_width(clear[clear[:, SHAPE_SNR] > WIDTH_SNR, MINOR][:_WIDTH_STARS])
         if not width > SHARPEST_STARS_PX2:
             if examined is brightest and len(rest):
-                shapes[rest] = _shapes_of(table, rest, searched, weight_px)
+                shapes[rest] = shapes_at(*searched[:3], pixels[rest], weight_px)
             examined = candidates
             width = _width_beside_pixels(shapes[candidates], width)
         if not width > weight_px**2:
@@ -103,12 +102,6 @@ def sharpest_star(table: Sources, judged: Flags, searched: Searched) -> Sharpnes
     if limit > 0.0 and searched.half[1] != 0.0:
         share = peak_share(math.sqrt(max(limit - _PIXEL_VARIANCE, 0.01)), searched.half)
     return Sharpness(limit, share, weight_px, shapes)
-
-
-def _shapes_of(table: Sources, which: IntArray, searched: Searched, weight_px: float) -> FloatArray:
-    """Shapes (n, 5) of some sources."""
-    x, y = table["x_peak"][which], table["y_peak"][which]
-    return measure_shapes(searched.image, searched.level, searched.noise, x, y, weight_px)
 
 
 def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
@@ -127,7 +120,9 @@ def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
     return width
 
 
-def sharp_shapes(table: Sources, which: IntArray, sharpness: Sharpness, searched: Searched) -> tuple[Flags, FloatArray]:
+def sharp_shapes(
+    pixels: IntArray, which: IntArray, sharpness: Sharpness, searched: Searched
+) -> tuple[Flags, FloatArray]:
     """Whether each of some sources is sharper than the star images of its frame, and their shapes (n, 5).
 
     The optics spread all light alike; charge that arises in the detector stays in its pixels. Judged is the variance
@@ -141,14 +136,13 @@ def sharp_shapes(table: Sources, which: IntArray, sharpness: Sharpness, searched
     shapes = sharpness.shapes[which]
     new = np.flatnonzero(np.isnan(shapes[:, MINOR]))
     if len(new):
-        shapes[new] = _shapes_of(table, which[new], searched, sharpness.weight_px)
+        shapes[new] = shapes_at(*searched[:3], pixels[which[new]], sharpness.weight_px)
     sharp = shapes[:, MINOR] + SHARP_ERRORS * shapes[:, MINOR_ERROR] < sharpness.limit_px2
     if sharpness.peak_share < math.inf:
         other = np.flatnonzero(~sharp)
-        x, y = table["x_peak"][which[other]], table["y_peak"][which[other]]
-        filtered, signal = filtered_pixels(searched.image, searched.level, searched.half, x, y).T
-        noise = searched.noise[y, x].astype(np.float64)
-        sharp[other] = signal > sharpness.peak_share * filtered + PEAK_ERRORS * noise
+        peaked = np.empty(len(other), np.bool_)
+        are_peaked(*searched, pixels[which[other]], sharpness.peak_share, peaked)
+        sharp[other] = peaked
     return sharp, shapes
 
 

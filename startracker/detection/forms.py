@@ -19,7 +19,7 @@ from startracker.detection.thresholds import (
     RING_MARGIN,
     SHAPE_PIXELS,
 )
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 Flags = NDArray[np.bool_]
 
@@ -41,21 +41,35 @@ class Forms:
 
 
 def measure_forms(table: Sources, max_axis_ratio: float) -> Forms:
-    """Centre (N, 2), second moments (N, 3) of x, y and xy, and whether an object is too long for a star.
+    """Centre (N, 2), second moments (N, 3) of x, y and xy, and whether an object is too long for a star."""
+    moments, long = np.empty((len(table), 5)), np.empty(len(table), np.bool_)
+    _measure_forms(table, max_axis_ratio, moments, long)
+    return Forms(moments[:, :2], moments[:, 2:], long)
+
+
+@kernel
+def _measure_forms(table: Sources, max_axis_ratio: float, moments: FloatArray, long: Flags) -> None:
+    for n in range(len(table)):
+        x, y, xx, yy, xy, long[n] = form_of(table[n], max_axis_ratio)
+        moments[n, 0], moments[n, 1], moments[n, 2], moments[n, 3], moments[n, 4] = x, y, xx, yy, xy
+
+
+@kernel_part
+def form_of(row: np.void, max_axis_ratio: float) -> tuple[float, float, float, float, float, bool]:
+    """Centre and second moments x, y, xx, yy, xy of an object, and whether it is too long for a star.
 
     Too long is an object whose second moments along its principal axes differ by more than a factor (Greyling 1995,
     eqs. 4.8 and 4.9, here along the principal axes, so that a slanted streak is one too). The moments are weighted with
     the signal; the variance of a pixel is added to each; objects of fewer than seven pixels have no shape.
     """
-    flux = table["flux"]
-    x, y = table["sum_x"] / flux, table["sum_y"] / flux
-    xx = table["sum_xx"] / flux - x * x + _PIXEL_VARIANCE
-    yy = table["sum_yy"] / flux - y * y + _PIXEL_VARIANCE
-    xy = table["sum_xy"] / flux - x * y
-    middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    elongated = middle + half > max_axis_ratio * np.maximum(middle - half, 1e-12)
-    long = elongated & (table["pixels"] >= SHAPE_PIXELS) & (middle + half > LONG_LEAST_PX2)
-    return Forms(np.column_stack([x, y]), np.column_stack([xx, yy, xy]), long)
+    flux = row["flux"]
+    x, y = row["sum_x"] / flux, row["sum_y"] / flux
+    xx = row["sum_xx"] / flux - x * x + _PIXEL_VARIANCE
+    yy = row["sum_yy"] / flux - y * y + _PIXEL_VARIANCE
+    xy = row["sum_xy"] / flux - x * y
+    middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    elongated = middle + half > max_axis_ratio * max(middle - half, 1e-12)
+    return x, y, xx, yy, xy, elongated and row["pixels"] >= SHAPE_PIXELS and middle + half > LONG_LEAST_PX2
 
 
 def centres(table: Sources) -> FloatArray:
@@ -75,7 +89,7 @@ def brightest_first(table: Sources) -> Sources:
 
 
 def are_long(table: Sources, needed: int, fewest: int, most: int, max_axis_ratio: float) -> bool:
-    """Whether `needed` of the `most` brightest objects of at least `fewest` pixels are long: see `measure_forms`.
+    """Whether `needed` of the `most` brightest objects of at least `fewest` pixels are long: see `form_of`.
 
     `table` has the brightest first.
     """
@@ -83,6 +97,7 @@ def are_long(table: Sources, needed: int, fewest: int, most: int, max_axis_ratio
     return bool(np.count_nonzero(measure_forms(table.take(whole), max_axis_ratio).long) >= needed)
 
 
+@kernel
 def is_halo(table: Sources) -> Flags:
     """Pieces of a brighter star's halo or diffraction rings; `table` has the brightest first.
 
@@ -90,29 +105,25 @@ def is_halo(table: Sources) -> Flags:
     bright: the envelope of the rings at r first dark radii falls as 0.045 / r³, and the pattern's light divided by its
     peak gives that radius as 1.9 √(flux / (π peak)).
     """
-    peaks, halo = table["peak_residual"], np.zeros(len(table), np.bool_)
-    bright = np.flatnonzero(peaks > HALO_PEAK_RATIO * peaks.min(initial=np.inf))  # the others are too faint for rings
-    if len(bright):
-        stars, objects = np.empty((len(bright), 6)), np.column_stack([table["x_peak"], table["y_peak"], peaks])
-        stars[:, :3] = objects[bright]
-        stars[:, 3] = HALO_RADII * np.sqrt(table["pixels"][bright] / np.pi) + HALO_MARGIN_PX
-        stars[:, 4] = 1.9 * np.sqrt(table["flux"][bright] / (np.pi * stars[:, 2]))
+    halo, faintest = np.zeros(len(table), np.bool_), np.inf
+    x, y, peaks = np.empty(len(table), np.int64), np.empty(len(table), np.int64), np.empty(len(table))
+    for n in range(len(table)):
+        x[n], y[n], peaks[n] = table[n]["x_peak"], table[n]["y_peak"], table[n]["peak_residual"]
+        faintest = min(faintest, peaks[n])
+    for star in range(len(peaks)):
+        peak = peaks[star]
+        if not peak > HALO_PEAK_RATIO * faintest:  # most objects of a frame are too faint for rings
+            continue
+        near = HALO_RADII * math.sqrt(table[star]["pixels"] / np.pi) + HALO_MARGIN_PX
+        dark_radius = 1.9 * math.sqrt(table[star]["flux"] / (np.pi * peak))
         # no farther than the ring about as faint as the faintest
-        rings = np.cbrt(RING_MARGIN * 0.045 * stars[:, 2] / max(peaks.min(), 1e-30)) * stars[:, 4]
-        stars[:, 5] = np.square(np.maximum(stars[:, 3], rings) + 1.0)
-        _mark_halos(stars, objects, halo)
-    return halo
-
-
-@kernel
-def _mark_halos(stars: FloatArray, objects: FloatArray, halo: Flags) -> None:
-    """Mark objects (x, y, peak) near stars (x, y, peak, radius of the halo, first dark radius, squared reach)."""
-    for star in range(len(stars)):
-        for n in range(len(objects)):
-            dx, dy = objects[n, 0] - stars[star, 0], objects[n, 1] - stars[star, 1]
-            if dx * dx + dy * dy > stars[star, 5]:
+        reach = max(near, dark_radius * (RING_MARGIN * 0.045 * peak / max(faintest, 1e-30)) ** (1.0 / 3.0)) + 1.0
+        for n in range(np.uint64(len(peaks))):
+            dx, dy = x[n] - x[star], y[n] - y[star]
+            if dx * dx + dy * dy > reach * reach:
                 continue
-            times, distance = stars[star, 2] / objects[n, 2], math.hypot(dx, dy)
-            share = distance / stars[star, 4]
+            times, distance = peak / peaks[n], math.hypot(dx, dy)
+            share = distance / dark_radius
             ring = share * share * share < RING_MARGIN * 0.045 * times
-            halo[n] |= times > HALO_PEAK_RATIO and (distance < stars[star, 3] or ring)
+            halo[n] |= times > HALO_PEAK_RATIO and (distance < near or ring)
+    return halo

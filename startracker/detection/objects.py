@@ -55,14 +55,18 @@ def cut_runs(
     return out[:count].copy(), values[:used].copy()
 
 
-@kernel
 def join_runs(runs: IntArray) -> tuple[IntArray, int]:
     """Object number of each run, and the number of objects: runs of neighbouring rows that touch, corners included.
 
     Union–find over runs in reading order, numbered by first appearance (He, Chao & Suzuki 2008).
     """
-    parent, number = np.arange(len(runs)), np.empty(len(runs), np.int64)
-    above, here = 0, 0  # first run of the row above, first run of this row
+    number = np.empty(len(runs), np.int64)
+    return number, _join(runs, np.arange(len(runs)), number)
+
+
+@kernel
+def _join(runs: IntArray, parent: IntArray, number: IntArray) -> int:
+    above = here = 0  # first run of the row above, first run of this row
     for index in range(1, len(runs)):
         if runs[index, 0] != runs[index - 1, 0]:
             above = here if runs[index, 0] == runs[index - 1, 0] + 1 else index
@@ -71,7 +75,7 @@ def join_runs(runs: IntArray) -> tuple[IntArray, int]:
         while other < here and runs[other, 1] <= runs[index, 2]:
             if runs[other, 2] >= runs[index, 1]:
                 a, b = _root(parent, index), _root(parent, other)
-                parent[a if a > b else b] = b if a > b else a
+                parent[max(a, b)] = min(a, b)
             other += 1
         # runs of the row above that end left of this one cannot touch a later one
         while above < here and runs[above, 2] < runs[index, 1]:
@@ -84,7 +88,7 @@ def join_runs(runs: IntArray) -> tuple[IntArray, int]:
             count += 1
         else:
             number[index] = number[root]
-    return number, count
+    return count
 
 
 @kernel_part
@@ -95,12 +99,17 @@ def _root(parent: IntArray, index: int) -> int:
     return index
 
 
-@kernel
 def measure_objects(
     runs: IntArray, number: IntArray, count: int, image: Image, level: Plane, saturation: float
 ) -> Sources:
     """Table of `count` objects given by numbered runs."""
-    table, full = np.zeros(count, SOURCE), np.float32(saturation)
+    table = np.zeros(count, SOURCE)
+    _add_runs(runs, number, image, level, np.float32(saturation), table)
+    return table
+
+
+@kernel
+def _add_runs(runs: IntArray, number: IntArray, image: Image, level: Plane, saturation: float, table: Sources) -> None:
     height, width = image.shape
     for index in range(len(runs)):
         row = table[number[index]]
@@ -108,5 +117,4 @@ def measure_objects(
         if y == 0 or y == height - 1 or x0 == 0 or x1 == width:
             row["edge"] = True
         for x in range(x0, x1):
-            add_pixel(row, x, y, image[y, x], level[y, x], full)
-    return table
+            add_pixel(row, x, y, image[y, x], level[y, x], saturation)

@@ -46,7 +46,8 @@ UNFILTERED = kernel_half(np.ones(1))
 @kernel_part
 def _residual_row(image: Image, level: Plane, y: int, work: FloatImage, out: np.uint64) -> None:
     """Image minus level; zero where the image is not finite."""
-    share, lines, row, cell = level.share[y], level.lines, np.uint64(y), np.uint64(level.cell[y])
+    share, lines, row = level.share[y], level.lines, np.uint64(y)
+    cell = np.uint64(level.cell[y])
     below, zero = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.float32(0.0)
     for x in range(np.uint64(image.shape[1])):
         signal = np.float32(image[row, x]) - (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
@@ -59,7 +60,8 @@ def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint
     before, weight = row, half[0]
     for n in range(1, len(half) - 1, 2):
         near, far, k = half[n], half[n + 1], np.uint64(n)
-        a, b, c, d = row - k, row + k, row - k - np.uint64(1), row + k + np.uint64(1)
+        a, b, c = row - k, row + k, row - k - np.uint64(1)
+        d = row + k + np.uint64(1)
         for x in range(np.uint64(width)):
             value = weight * work[before + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
             work[out + x] = value
@@ -76,7 +78,8 @@ def _filter_columns(
     before, weight = rows[reach], half[0]
     for k in range(1, reach, 2):
         near, far = half[k], half[k + 1]
-        a, b, c, d = rows[reach - k], rows[reach + k], rows[reach - k - 1], rows[reach + k + 1]
+        a, b, c = rows[reach - k], rows[reach + k], rows[reach - k - 1]
+        d = rows[reach + k + 1]
         for x in range(np.uint64(width)):
             value = weight * work[before + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
             work[out + x] = value
@@ -103,7 +106,8 @@ def _sample_row(
 ) -> int:  # fmt: skip
     """Add the filtered signal over the noise of every `columns[1]`-th pixel of a row from `columns[0]` on; how many are
     in the sample."""
-    share, lines, row, cell = noise.share[y], noise.lines, np.uint64(y), np.uint64(noise.cell[y])
+    share, lines, row = noise.share[y], noise.lines, np.uint64(y)
+    cell = np.uint64(noise.cell[y])
     below, index = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(count)
     for x in range(np.uint64(columns[0]), np.uint64(image.shape[1]), np.uint64(columns[1])):
         sample[index] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
@@ -184,9 +188,10 @@ def _search(
     height, width = image.shape
     reach = len(half) - 1
     size = 2 * reach + 1
-    rows, total, least, residual = starts[:size], starts[size], starts[size + 1], starts[size + 2]
+    rows, total, least = starts[:size], starts[size], starts[size + 1]
+    residual = starts[size + 2]
     cell, cells, shares = -1, noise.cell, noise.share
-    count, samples, index = 0, 0, 0
+    count = samples = index = 0
     for y in range(height + reach + 1):
         newest = rows[0]
         for k in range(size - 1):
@@ -266,9 +271,12 @@ def _cut_groups(
     groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float, runs: IntArray, signal: FloatImage
 ) -> tuple[int, int]:
     """Fills `runs`, flat, and `signal` of `runs_above`, and how many these are."""
-    size, width, one, three = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1), np.uint64(3)
+    size, width, one = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1)
+    three = np.uint64(3)
     # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
-    edges, values, row, stop, inside, lines = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), False, noise.lines
+    edges, values, row = np.uint64(0), np.uint64(0), np.uint64(0)
+    stop, lines = np.uint64(0), noise.lines
+    inside = False
     for n in range(np.uint64(len(groups))):
         if inside and (groups[n, 0] != row or groups[n, 1] != stop):
             runs[three * (edges >> one) + np.uint64(2)] = stop

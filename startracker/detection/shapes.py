@@ -38,14 +38,16 @@ def measure_shapes(
     this is undone, so that the variances are those of the star image, the pixel's 1/12 included; infinite for what is
     as wide as the weight. NaN where the window holds no signal. The standard error is that of the background's noise.
     """
-    half, variance, out = (
-        max(2, math.ceil(2.0 * weight_sigma)),
-        weight_sigma**2,
-        np.full((len(xs), SHAPE_COLUMNS), np.nan),
-    )
+    return shapes_at(image, level, noise, np.column_stack([xs, ys]), weight_sigma)
+
+
+def shapes_at(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight_sigma: float) -> FloatArray:
+    """The same for candidates at pixels x, y (N, 2)."""
+    half, variance = max(2, math.ceil(2.0 * weight_sigma)), weight_sigma**2
+    out = np.full((len(pixels), SHAPE_COLUMNS), np.nan)
     centred = np.array([math.exp(-0.5 * k * k / variance) for k in range(half + 1)])
     weight = Weight(variance, centred, np.empty((4 * half + 4, 2 * half + 1)))
-    _measure(image, level, noise[ys, xs].astype(np.float64), np.column_stack([xs, ys]), weight, out)
+    _measure(image, level, noise, pixels, weight, out)
     return out
 
 
@@ -84,10 +86,8 @@ def _read_window(
 
 
 @kernel
-def _measure(
-    image: Image, level: Plane, sigma: FloatArray, pixels: IntArray, weight: Weight, shapes: FloatArray
-) -> None:
-    """Shapes (N, 5) of candidates at pixels x, y (N, 2), where the noise is `sigma`: see `measure_shapes`."""
+def _measure(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight: Weight, shapes: FloatArray) -> None:
+    """Shapes (N, 5) of candidates at pixels x, y (N, 2): see `measure_shapes`."""
     w, centred = weight.variance, weight.centred
     half, side = len(centred) - 1, 2 * len(centred) - 1
     window, use = weight.space[:side], weight.space[side : 2 * side]
@@ -127,11 +127,11 @@ def _measure(
         vx, vy, vxy = sxx / total - mx * mx, syy / total - my * my, sxy / total - mx * my
         middle, apart = 0.5 * (vx + vy), math.hypot(0.5 * (vx - vy), vxy)
         # noise of a second moment: Σ g² (k² − v)² σ² / S², by the integral over a Gaussian weight
-        spread = w * w / 2.0 * 1.5 - w * middle + middle * middle
-        error = sigma[n] / total * math.sqrt(max(math.pi * w * spread, 0.0))
+        sigma, spread = np.float64(noise[pixels[n, 1], pixels[n, 0]]), w * w / 2.0 * 1.5 - w * middle + middle * middle
+        error = sigma / total * math.sqrt(max(math.pi * w * spread, 0.0))
         minor, major, widest = max(middle - apart, 0.0), middle + apart, 0.95 * w
         shapes[n, MINOR] = minor * w / (w - minor) if minor < widest else np.inf
         shapes[n, MAJOR] = major * w / (w - major) if major < widest else np.inf
         shapes[n, MINOR_ERROR] = error * (w / (w - min(minor, widest))) ** 2
         shapes[n, PEAK_SHARE] = highest / plain if plain > 0.0 else np.inf
-        shapes[n, SHAPE_SNR] = total / (sigma[n] * math.sqrt(norm))
+        shapes[n, SHAPE_SNR] = total / (sigma * math.sqrt(norm))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.arrays import IntArray
 from startracker.detection.plane import Plane
+from startracker.detection.thresholds import PEAK_ERRORS
 from startracker.detection.values import Image, is_value, is_whole
 from startracker.kernels import kernel, kernel_part
 
 FloatImage = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 
 def stamp_pitch(half: FloatImage, radius: int) -> int:
@@ -75,12 +77,14 @@ def _correlate(
 
 
 @kernel
-def filtered_pixels(image: Image, level: Plane, half: FloatImage, xs: IntArray, ys: IntArray) -> FloatArray:
-    """Filtered signal of single pixels, and their own, shape (N, 2): see `filtered_pixel`."""
-    out = np.empty((len(xs), 2))
-    for n in range(len(xs)):
-        out[n, 0], out[n, 1] = filtered_pixel(image, level, half, xs[n], ys[n])
-    return out
+def are_peaked(
+    image: Image, level: Plane, noise: Plane, half: FloatImage, pixels: IntArray, share: float, out: Flags
+) -> None:
+    """Whether pixels x, y (N, 2) exceed a `share` of their filtered signal by more than their noise allows."""
+    for n in range(len(pixels)):
+        x, y = pixels[n, 0], pixels[n, 1]
+        filtered, signal = filtered_pixel(image, level, half, x, y)
+        out[n] = signal > share * filtered + PEAK_ERRORS * np.float64(noise[y, x])
 
 
 @kernel_part

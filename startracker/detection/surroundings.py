@@ -68,10 +68,8 @@ class Stamp(NamedTuple):
     sample: FloatImage
 
 
-def are_clutter(
-    searched: Searched, x: IntArray, y: IntArray, radius_px: FloatArray, quiet: float, isolation: float
-) -> Flags:
-    """Which candidates fail to stand out of the ring around them.
+def are_clutter(searched: Searched, peaks: IntArray, radius_px: FloatArray, quiet: float, isolation: float) -> Flags:
+    """Which candidates, given by their brightest pixels x, y (N, 2), fail to stand out of the ring around them.
 
     The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors, whose maxima count. One
     neighbour fills two of them, three with its wings; branches and leaves fill most. The candidate must be `isolation`
@@ -80,11 +78,11 @@ def are_clutter(
     All this is asked of the image after the filter, see `startracker.detection.scan`.
     """
     rings = rings_of(len(searched.half))
-    pixels, out = rings.masks.shape[1], np.empty(len(x), np.bool_)
+    pixels, out = rings.masks.shape[1], np.empty(len(peaks), np.bool_)
     filtered, sample = np.empty(pixels, np.float32), np.empty(rings.positions.shape[1] + 1, np.float32)
     stamp = Stamp(filtered, filtered.view(np.int32), np.empty(2 * pixels, np.float32), sample)
     ring = np.minimum(np.ceil(radius_px), _LARGEST_RADIUS_PX).astype(np.int64)
-    _mark_clutter(searched, np.column_stack([x, y, ring]), quiet, isolation, rings, stamp, out)
+    _mark_clutter(searched, np.column_stack([peaks, ring]), quiet, isolation, rings, stamp, out)
     return out
 
 

@@ -28,12 +28,13 @@ if TYPE_CHECKING:
     from startracker.identification.triad_search import TriadLimits
     from startracker.identification.triad_tables import TriadTables
 
-MODULES = ("integers", "separations", "attitude", "verification", "triads")
+MODULES = ("integers", "cordic", "separations", "attitude", "verification", "triads")
 """Modules of the solver that do not depend on the camera: ``<prefix>_<module>.c``."""
 _SOURCES = (
     "tracker.h",
     "tracker_internal.h",
     "tracker_integers.h",
+    "tracker_cordic.h",
     *(f"tracker_{module}.c" for module in MODULES),
     "main.c",
 )
@@ -44,7 +45,7 @@ OBJECTS = tracker_tables.o {objects}
 solve: main.o $(OBJECTS)
 \t$(CC) $(CFLAGS) $(LDFLAGS) -o $@ main.o $(OBJECTS)
 
-%.o: %.c tracker.h tracker_internal.h tracker_integers.h tracker_tables.h
+%.o: %.c tracker.h tracker_internal.h tracker_integers.h tracker_cordic.h tracker_tables.h
 \t$(CC) $(CFLAGS) -c -o $@ $<
 
 clean:

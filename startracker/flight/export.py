@@ -1,8 +1,8 @@
 """Files of a flight build: C sources, tables, build files, example, unit tests, fuzzers, and what a team reads.
 
-The stages' modules give their constants and arrays (`Part`); their sources are in ``c/`` here and in
-``startracker/fixed_point/c``. All else is in ``package/``. In every file ``tracker_`` and ``TRACKER_`` become the
-prefix, and ``@WORD@`` the value of the word.
+The stages' modules give their constants and arrays (`Part`); their sources are in ``c/`` here, in its folder of the
+identifier, and in ``startracker/fixed_point/c``. All else is in ``package/``. In every file ``tracker_`` and
+``TRACKER_`` become the prefix, and ``@WORD@`` the value of the word.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_consta
 from startracker.flight.following import FOLLOWING_MODULES, following_arrays, following_constants, following_tables
 from startracker.flight.front_tables import FRONT_MODULES, front_arrays, front_constants
 from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants
-from startracker.flight.search_export import SEARCH_MODULES, search_arrays, search_constants
+from startracker.flight.search_export import search_arrays, search_constants, search_modules
 from startracker.flight.solver import SATURATED_PART, FlightTracker
 from startracker.flight.unit_data import unit_test_data
 
-_FOLDERS = ("startracker.flight", "startracker.fixed_point")
 _INCLUDE = re.compile(r'^#include "(tracker\w*\.h)"', re.MULTILINE)
 _GENERATED = ("tracker_tables.h", "tracker.h")
 _LICENCE = "/* Copyright (c) 2026, The boresight developers. SPDX-License-Identifier: BSD-3-Clause (see LICENSE). */\n"
@@ -57,12 +56,9 @@ def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
     Raises
     ------
     InputError
-        A prefix that is not a C identifier; a camera or settings that the integers cannot hold; the identifier
-        ``triads``, which is exported for lists of centroids alone (`export_c`).
+        A prefix that is not a C identifier; a camera or settings that the integers cannot hold.
     """
     check_prefix(prefix)
-    if design.identifier != "adaptive":
-        raise InputError("--identifier: the flight build has adaptive alone; triads are exported without --scenario")
     tracker = FlightTracker.build(design)
     return assemble(design, flight_parts(tracker), prefix, unit_test_data(tracker))
 
@@ -74,7 +70,7 @@ def flight_parts(tracker: FlightTracker) -> list[Part]:
     return [
         Part(FRONT_MODULES, front_constants(front), front_arrays(front)),
         Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),
-        Part(SEARCH_MODULES, search_constants(search), search_arrays(search)),
+        Part(search_modules(search), search_constants(search), search_arrays(search)),
         Part(POSE_MODULES, pose_constants(pose), pose_arrays(pose)),
         Part(FOLLOWING_MODULES, following_constants(following), following_arrays(following)),
         Part(("solver", "frame"), {"SATURATED_PART": SATURATED_PART}, []),
@@ -85,8 +81,8 @@ def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: st
     """Files of these parts, with the header of the unit tests' data."""
     constants, arrays = _collected(design, parts)
     modules = tuple(dict.fromkeys(module for part in parts for module in part.modules))
-    sources = {f"tracker_{module}.c": _source(f"tracker_{module}.c") for module in modules}
-    headers = _headers(sources.values())
+    sources = {f"tracker_{module}.c": _source(f"tracker_{module}.c", design.identifier) for module in modules}
+    headers = _headers(sources.values(), design.identifier)
     version = _version(design, constants, arrays)
     text = f"const char tracker_version[{len(version) + 1}]"
     declared = [f"extern {text}; /* what these tables were made from, and their digest */"]
@@ -101,6 +97,7 @@ def assemble(design: FlightDesign, parts: Sequence[Part], prefix: str, tests: st
         for item in _folder("startracker.flight", "package").iterdir()
         if item.is_file()
     }
+    headers["tracker.h"] = _filled(headers["tracker.h"], words)
     texts = {**sources, **headers, **tables, **package, "test_data.h": tests}
     texts = {prefixed(name, prefix): prefixed(_licensed(name, text), prefix) for name, text in sorted(texts.items())}
     return CExport(prefix, texts, {table.name: table.bytes for table in arrays}, modules)
@@ -126,23 +123,24 @@ def _folder(package: str, name: str) -> Traversable:
     return files(package) / name
 
 
-def _source(name: str) -> str:
+def _source(name: str, identifier: str) -> str:
     """Text of a source or header, from the first folder that has it."""
-    for package in _FOLDERS:
-        file = _folder(package, "c") / name
+    flight = _folder("startracker.flight", "c")
+    for folder in (flight / identifier, flight, _folder("startracker.fixed_point", "c")):
+        file = folder / name
         if file.is_file():
             return file.read_text("utf-8")
     raise InputError(f"flight build: there is no source {name}")
 
 
-def _headers(sources: Iterable[str]) -> dict[str, str]:
+def _headers(sources: Iterable[str], identifier: str) -> dict[str, str]:
     """Headers that the sources include, directly or through others, by name; the interface is ``tracker.h``."""
     found = {"tracker.h": (_folder("startracker.flight", "c") / "flight.h").read_text("utf-8")}
     waiting = [*sources, *found.values()]
     while waiting:
         for name in _INCLUDE.findall(waiting.pop()):
             if name not in found and name not in _GENERATED:
-                found[name] = _source(name)
+                found[name] = _source(name, identifier)
                 waiting.append(found[name])
     return found
 

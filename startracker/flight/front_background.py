@@ -22,6 +22,8 @@ class Lines(NamedTuple):
 
     level: IntArray
     noise: IntArray
+    slope: IntArray
+    """Of the level along y, DN a row."""
 
 
 def square_root(n: IntArray) -> IntArray:
@@ -44,7 +46,7 @@ def background_lines(image: NDArray[np.uint16], tables: FrontTables) -> Lines:
     blocks = max(1, height // BLOCK)
     found = np.array([_tile_statistics(image, tables, tile) for tile in range(tiles)])  # (C, 2, blocks)
     level, noise = _median_of_three(found[:, 0].T), _median_of_three(found[:, 1].T)
-    levels, noises = np.empty((height, tiles), np.int64), np.empty((height, tiles), np.int64)
+    levels, noises, slopes = (np.empty((height, tiles), np.int64) for _ in range(3))
     x, v, n = level[0] << 4, np.zeros(tiles, np.int64), noise[0] << 6
     for block in range(blocks):
         if block > 0:
@@ -53,8 +55,9 @@ def background_lines(image: NDArray[np.uint16], tables: FrontTables) -> Lines:
         rows = np.arange(BLOCK * block, last)[:, None]
         moved = x + ((v * (2 * (rows - BLOCK * block) - BLOCK + 1)) >> 3)
         levels[rows[:, 0]] = np.clip(moved, 0, _LARGEST_LEVEL << 12) >> 4
-        noises[rows[:, 0]] = n >> 4
-    return Lines(_extended(levels, tables.extend), np.pad(noises, ((0, 0), (1, 1)), "edge"))
+        noises[rows[:, 0]], slopes[rows[:, 0]] = n >> 4, v >> 6
+    ends = (0, 0), (1, 1)
+    return Lines(_extended(levels, tables.extend), np.pad(noises, ends, "edge"), np.pad(slopes, ends, "edge"))
 
 
 def _tile_statistics(image: NDArray[np.uint16], tables: FrontTables, tile: int) -> tuple[IntArray, IntArray]:

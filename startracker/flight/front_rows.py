@@ -42,7 +42,7 @@ class Candidates(NamedTuple):
     noise: IntArray
     """Background, 8 fraction bits."""
     stamp: IntArray
-    """(N, 11, 11): Pixels about it; 0 beyond the frame."""
+    """(N, 11, 11): Pixels about it, without the slope of the background; 0 beyond the frame."""
 
     def take(self, index: IntArray) -> Candidates:
         """The candidates of an index."""
@@ -134,7 +134,21 @@ def find_candidates(searched: Searched, tables: FrontTables) -> Candidates:
     )
     kept = np.flatnonzero(star & ~extended)
     kept = kept[np.lexsort((x[kept], y[kept], -tall[kept]))]
-    return Candidates(x[kept], y[kept], tall[kept], level[kept], noise[kept], stamp[kept])
+    even = _without_slope(stamp, inside, (x, y), searched.lines, tables)
+    return Candidates(x[kept], y[kept], tall[kept], level[kept], noise[kept], even[kept])
+
+
+def _without_slope(
+    stamp: IntArray, inside: BoolArray, middle: tuple[IntArray, IntArray], lines: Lines, tables: FrontTables
+) -> IntArray:
+    """Stamps as on the level of their middle pixels (x, y), to whole DN; pixels remain saturated, or not."""
+    (x, y), away = middle, np.arange(-HALF, HALF + 1)
+    cell = np.searchsorted(tables.knot[1:-1], x, side="right")
+    across = ((lines.level[y, cell + 1] - lines.level[y, cell]) * tables.inverse[cell]) >> 16
+    down = at_columns(lines.slope, tables, y, x)
+    rise = (across[:, None, None] * away + down[:, None, None] * away[:, None] + 128) >> 8
+    even = np.clip(stamp - rise, 0, min(tables.saturation - 1, 65535))
+    return np.where(inside & (stamp < tables.saturation), even, stamp)
 
 
 def _stamps(image: IntArray, x: IntArray, y: IntArray) -> tuple[IntArray, BoolArray]:

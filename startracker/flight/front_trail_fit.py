@@ -22,6 +22,8 @@ _STEP, _STRETCH, _TURN = 1 << 16, 4 << 16, 6554
 _AWAY = 8 << 16
 _COVERED = 2
 """Part of the pixels near a line, as its inverse, that must be known."""
+_LEAST_ABOVE = 2
+"""Rows that must be known above a trail: one whose beginning is lost has another middle."""
 _FEWEST_PIXELS = 20
 _STRENGTH, _STRENGTH_KNOWN = 64, 36
 """Least square of the signal-to-noise ratio, also for known length and direction."""
@@ -112,14 +114,16 @@ class TrailFit:
     ----------
     x, y, value : int array, shape (N,)
         Pixels, and what they have above the background, DN of 2 fraction bits.
+    top : int
+        First row of which pixels are known.
     noise : int
         DN, 8 fraction bits.
     """
 
-    def __init__(self, x: IntArray, y: IntArray, value: IntArray, noise: int, tables: FrontTables) -> None:
+    def __init__(self, x: IntArray, y: IntArray, value: IntArray, top: int, noise: int, tables: FrontTables) -> None:
         used = value != UNUSED
         self.x, self.y, self.data = x[used] << 16, y[used] << 16, value[used] << 2
-        self.noise, self.tables = noise, tables
+        self.top, self.noise, self.tables = top, noise, tables
         self.inverse = (1 << 24) // math.isqrt(tables.image << 16)
 
     def _near(self, line: Line) -> tuple[IntArray, IntArray, IntArray]:
@@ -205,6 +209,8 @@ class TrailFit:
         if excess > math.isqrt(32 * freedom << 16):
             variance = variance * min(sums.chi2 >> 4, 1 << 24) // (16 * freedom)
         half_x, half_y = (line.length * line.cos) >> 16, (line.length * line.sin) >> 16
+        if self.top > 0 and line.y - abs(half_y) < self.top + _LEAST_ABOVE << 16:
+            return None
         if not self._inside(line, abs(half_x), abs(half_y)):
             return None
         flux = ((peak * line.length >> 16) << 12) // self.inverse

@@ -203,7 +203,7 @@ class TrailSearch:
         at = np.repeat(list(self._kept), [len(row[0]) for row in self._kept.values()])
         row, column = np.array([min(y, self.tables.height - 1)]), np.array([start.x >> 16])
         noise = int(at_columns(self.searched.lines.noise, self.tables, row, column)[0])
-        fit = TrailFit(x, at, value, noise, self.tables)
+        fit = TrailFit(x, at, value, min(self._kept), noise, self.tables)
         trail = fit.measure(start)
         if motion is not None and (trail is None or trail.flux < _BRIGHT * noise or not agrees(trail, motion)):
             along_x, along_y = motion.at(start.x, start.y)

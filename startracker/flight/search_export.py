@@ -5,10 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 from startracker.fixed_point.c_table import CTable
-from startracker.flight import apparent, search, search_plan, search_tables, verifying, votes
+from startracker.fixed_point.cordic import STEPS_DEG
+from startracker.flight import (
+    apparent,
+    candidates,
+    hypotheses,
+    search_plan,
+    search_tables,
+    triad_numbers,
+    triads,
+    verifying,
+    votes,
+)
 from startracker.flight.search_tables import SearchTables
+from startracker.flight.triad_numbers import TriadNumbers, triad_constants
 
-SEARCH_MODULES = ("integers", "directions", "evidence", "verify", "votes", "confirm", "search")
+_SHARED = ("integers", "directions", "evidence", "verify", "votes", "pair")
+_SOURCES = {"adaptive": ("confirm", "candidates"), "triads": ("cordic", "triads", "triad_votes")}
+
+
+def search_modules(t: SearchTables) -> tuple[str, ...]:
+    """Sources of an identification."""
+    return (*_SHARED, *_SOURCES[t.identifier], "search")
 
 
 def search_constants(t: SearchTables) -> dict[str, int]:
@@ -16,6 +34,7 @@ def search_constants(t: SearchTables) -> dict[str, int]:
     return {
         "EPOCH": t.epoch,
         "MOST_YEARS": apparent.MOST_YEARS,
+        **(_adaptive_constants(t) if t.triads is None else _triad_constants(t.triads)),
         "SEARCH_GUIDES": len(t.guide),
         "SEARCH_PAIRS": len(t.first),
         "SEARCH_BINS": len(t.bin_start) - 1,
@@ -42,19 +61,35 @@ def search_constants(t: SearchTables) -> dict[str, int]:
         "SEARCH_DENSITY_ENTRIES": t.density_table.shape[1],
         "SEARCH_DENSITY_FLOOR": int(search_tables.FLOOR * (1 << search_tables.DENSITY_BITS)),
         "SEARCH_WIDTHS": len(t.log_scale2),
-        "SEARCH_CHANCES": t.needed.shape[0],
-        "SEARCH_MOST_NEEDED": t.needed.shape[1],
         "SEARCH_MAGNITUDE_TOLERANCE": t.magnitude_tolerance,
         "SEARCH_GATES": max(map(len, verifying.GATES)),
-        "SEARCH_ROWS": len(search_plan.SEARCHES),
-        "SEARCH_KEPT": search.KEPT,
-        "SEARCH_MOST_NEIGHBOURS": votes.MOST_NEIGHBOURS,
-        "SEARCH_MOST_CANDIDATES": votes.MOST_CANDIDATES,
+        "SEARCH_ROWS": len(t.searches),
+        "SEARCH_QUICK": t.quick,
+        "SEARCH_FIXED_ERROR": 0 if t.triads is None else t.triads.fixed,
+        "SEARCH_KEPT": hypotheses.KEPT,
+        "SEARCH_MOST_NEIGHBOURS": _most_neighbours(t),
         "SEARCH_MOST_VOTES": votes.MOST_VOTES,
-        "SEARCH_MOST_KEPT": votes.MOST_KEPT,
+        "SEARCH_MOST_KEPT": t.most_kept,
         "SEARCH_MOST_COUNT": votes.MOST_COUNT,
         "SEARCH_MOST_STEPS": _most_steps(t),
     }
+
+
+def _adaptive_constants(t: SearchTables) -> dict[str, int]:
+    return {
+        "SEARCH_SIDE_STARS": t.most_stars,
+        "SEARCH_CHANCES": t.needed.shape[0],
+        "SEARCH_MOST_NEEDED": t.needed.shape[1],
+        "SEARCH_MOST_CANDIDATES": votes.MOST_CANDIDATES,
+    }
+
+
+def _triad_constants(t: TriadNumbers) -> dict[str, int]:
+    return {"SEARCH_SIDE_STARS": t.stars, "ROTATIONS": len(STEPS_DEG), **triad_constants(t)}
+
+
+def _most_neighbours(t: SearchTables) -> int:
+    return max(one.neighbours for one in t.searches)
 
 
 def _most_steps(t: SearchTables) -> int:
@@ -63,13 +98,20 @@ def _most_steps(t: SearchTables) -> int:
     Around a prior, there is a second one over the whole sky.
     """
     stars, depth = t.most_stars, t.seeing.shape[1] - 1
-    a_pass = 2 * votes.MOST_NEIGHBOURS * len(t.first) + 4 * votes.MOST_VOTES * (votes.MOST_COUNT - 1)
-    counting = len(t.guide) + 2 * votes.MOST_NEIGHBOURS * len(t.first)
+    windows = 2 * _most_neighbours(t) * len(t.first)
+    compared = votes.MOST_VOTES * (votes.MOST_COUNT - 1)
     rounds = verifying.ROUNDS * max(map(len, verifying.GATES))
     verification = verifying.STEPS + (rounds + 14 * max(map(len, verifying.GATES))) * stars * depth
-    candidate = search.CANDIDATE_STEPS + search.STAR_STEPS * search.MOST_OTHERS + verification
-    beyond = counting + a_pass + candidate
-    return int(2 * (verification + sum(one.steps + beyond for one in search_plan.SEARCHES)))
+    if t.triads is None:
+        a_pass = windows + 4 * compared
+        hypothesis = candidates.CANDIDATE_STEPS + candidates.STAR_STEPS * candidates.MOST_OTHERS + verification
+    else:
+        a_pass = windows + (triads.VOTE_STEPS + triads.TRIAD_STEPS) * compared // 2
+        a_pass += triad_numbers.MOST_GROUPS * triads.group_steps(t.triads.room, 0, 0)
+        hypothesis = triads.group_steps(0, t.triads.room, triad_numbers.MOST_NAMED)
+        hypothesis += triad_numbers.MOST_CHECKED * verification
+    beyond = len(t.guide) + windows + a_pass + hypothesis
+    return int(2 * (verification + sum(one.steps + beyond for one in t.searches)))
 
 
 def search_arrays(t: SearchTables) -> list[CTable]:
@@ -100,11 +142,18 @@ def search_arrays(t: SearchTables) -> list[CTable]:
         ("int32_t", "quadratic", "log2(e) / 2 over the squared width, 20 fraction bits", t.quadratic),
         ("int32_t", "log_volume", "log2 of prior and volume of each width", t.log_volume),
         ("int32_t", "log_density", "log2 of the density of ln B, by the number of stars", t.log_density),
-        ("int32_t", "needed", "largest mean of matches by chance, 16 fraction bits", t.needed),
-        ("int32_t", "row", "the searches: columns are those of enum TRACKER_ROW_POLES", search_plan.search_rows()),
+        (
+            "int32_t",
+            "row",
+            "the searches: columns are those of enum TRACKER_ROW_POLES",
+            search_plan.search_rows(t.searches),
+        ),
         ("int32_t", "gate", "squares of the gates of the verification, 8 fraction bits", gates),
     ]
+    needed = ("int32_t", "needed", "largest mean of matches by chance, 16 fraction bits", t.needed)
+    turns = ("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 fraction bits", np.array(STEPS_DEG))
+    named.append(needed if t.triads is None else turns)
     return [
-        CTable(type_, name if name.startswith("guide_") else f"search_{name}", meaning, values)
+        CTable(type_, name if name.startswith(("guide_", "rotation_")) else f"search_{name}", meaning, values)
         for type_, name, meaning, values in named
     ]

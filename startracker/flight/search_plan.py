@@ -1,11 +1,14 @@
 """Order and limits of the searches of a flight build's identification.
 
-Those of `startracker.identification.adaptive`: a few brightest stars under the stated errors and under larger ones; if
-that leaves a doubt, every star as the pole, under wider and wider assumptions.
+The default's are those of `startracker.identification.adaptive`: a few brightest stars under the stated errors and
+under larger ones; if that leaves a doubt, every star as the pole, under wider and wider assumptions. Those of the
+triads are as in `startracker.identification.triads`: all triangles of the brightest stars within 4, 12 and 40 standard
+errors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -71,6 +74,23 @@ SEARCHES = (
 )
 
 
-def search_rows() -> IntArray:
-    """The searches as rows of integers, as the C has them."""
-    return np.array(SEARCHES, dtype=np.int64)
+TRIAD_SCALES = (1, 3, 10)
+"""Multiples of the stated errors (`startracker.identification.hypothesis.SCALES`)."""
+_TRIAD_STEPS = (6_000_000, 8_000_000, 8_000_000)
+
+
+def triad_searches(stars: int, fixed: bool = False) -> tuple[Search, ...]:
+    """Searches for the triads of so many brightest stars, each of which is the first of its triangles in turn; a single
+    one if the tolerance of separations is fixed."""
+    counts = stars, stars, stars - 1, 2
+    if fixed:
+        return (_search(counts, 1.0, TRIAD_SCALES[-1], 1, 0, 0, sum(_TRIAD_STEPS))._replace(sides=256, stated=1),)
+    return tuple(
+        _search(counts, 4.0, scale, int(scale > 7), 0, 0, steps)._replace(stated=1)
+        for scale, steps in zip(TRIAD_SCALES, _TRIAD_STEPS, strict=True)
+    )
+
+
+def search_rows(searches: Sequence[Search]) -> IntArray:
+    """Searches as rows of integers, as the C has them."""
+    return np.array(searches, dtype=np.int64)

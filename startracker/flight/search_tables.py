@@ -21,6 +21,8 @@ from startracker.fixed_point.evidence import LOG_BITS
 from startracker.fixed_point.vectors import DIRECTION
 from startracker.flight.apparent import epoch_of, guide_motion
 from startracker.flight.design import FlightDesign
+from startracker.flight.search_plan import QUICK, SEARCHES, Search, triad_searches
+from startracker.flight.triad_numbers import TriadNumbers, triad_numbers
 from startracker.identification.bayes_factor import (
     DISTRACTORS,
     SCALE_LOG_PRIOR,
@@ -41,6 +43,9 @@ SQUARE_BITS = 8
 PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD = 0.3, 0.8, 14
 """Largest separation of the pairs, of the field's diagonal; that of pairs of the brightest stars everywhere, so many in
 a circle around the field: if an image has few stars, they are those and far apart."""
+TRIAD_SHARE, TRIAD_BRIGHT = 0.8, 2.0
+"""For triads: largest separation of the pairs, of the field's diagonal, which are between the brightest stars
+everywhere; so many in a circle around the field for each star that makes triads."""
 _BINS = 2048
 MOST_STARS, LARGEST_PIXEL_RAD = 120, 4.4e-3
 """Limits of 8-bit indices, and of products of 64 bits."""
@@ -54,6 +59,10 @@ CROWD_FROM, CROWD_STEP_BITS = -8, 7
 """First logarithm of the crowding's table, and the shift from logarithms to entries."""
 _CROWD_TO = 15
 _MOST_NEEDED, _MARGIN = 12, 1024
+LARGEST_MAG = 100.0
+"""More than any difference of brightness."""
+MOST_KEPT, _ALL_VOTES = 8192, 1 << 24
+"""Votes about a pole that the default identification keeps; more than there are."""
 WIDE_MAG, WIDE_SHARE, FLOOR, EVEN = 1.5, 0.2, 1e-3, 0.1
 """Those of `bayes_factor` and `clustering_null`: wings of the magnitudes, least density, share of points anywhere."""
 
@@ -121,39 +130,42 @@ class SearchTables(NamedTuple):
     """Largest mean, 16 fraction bits, of which k or more matches have a probability of `CHANCES` at most, (4, k)."""
     magnitude_tolerance: int
     """Between differences of brightness, 6 fraction bits."""
+    searches: tuple[Search, ...]
+    quick: int
+    """Number of the searches after which an attitude accepted with a margin ends the identification."""
+    most_kept: int
+    """Votes about a pole that are kept."""
+    triads: TriadNumbers | None
+    """Limits of the triads; None: the default identification."""
+
+    @property
+    def identifier(self) -> str:
+        """As in `FlightDesign`."""
+        return "adaptive" if self.triads is None else "triads"
 
 
 CHANCES = (0.02, 0.005, 0.001, 1e-4)
 """Rows of `SearchTables.needed`."""
 
 
-def search_tables(
-    design: FlightDesign, pair_share: float = PAIR_SHARE, bright_share: float = BRIGHT_SHARE
-) -> SearchTables:
+def search_tables(design: FlightDesign) -> SearchTables:
     """Tables of a camera's guide stars.
 
     Parameters
     ----------
     design : FlightDesign
-    pair_share, bright_share : float
-        Largest separation of the pairs, and of those of the brightest stars, of the field's diagonal.
 
     Raises
     ------
     InputError
-        For triads, which have an export of their own; more guide stars than 15-bit indices can address, or none that
-        fit into the field in pairs; more stars a list than 8-bit indices can address.
+        For more guide stars than 15-bit indices can address, or none that fit into the field in pairs; more stars a
+        list than 8-bit indices can address; settings of the triads as in `triad_numbers`.
     """
-    if design.identifier == "triads":
-        raise InputError(
-            "identifier triads: the flight build of a scenario identifies by 'adaptive'; triads are exported for lists "
-            "of centroids, by boresight export-c without --scenario"
-        )
     if design.camera.pixel_rad > LARGEST_PIXEL_RAD:
         raise InputError("a flight build takes pixels of less than 15 arcminutes; use a longer focal length")
     if design.detection.max_stars > MOST_STARS:
         raise InputError(f"a flight build takes up to {MOST_STARS} stars per frame; set tracker.detection.max_stars")
-    guide, settings = design.guide, AdaptiveSettings.of(design.identification)
+    guide, triads = design.guide, triad_numbers(design) if design.identifier == "triads" else None
     if not 3 <= len(guide) < 1 << 15:
         raise InputError(f"a flight build holds 3 to 32767 guide stars, not {len(guide)}; change the magnitude limit")
     directions = DIRECTION.encode(guide.directions, rounded=True)
@@ -162,8 +174,7 @@ def search_tables(
     shape = field_shape(design.camera)
     axes = DIRECTION.encode(shape.axes, rounded=True)
     outline = _outline(shape.least_cosine)
-    tolerance = min(settings.magnitude_tolerance, 100.0)
-    rate = settings.false_alarm_rate
+    settings = design.identification
     log_area = math.log2(guide.solid_angle_sr) + 2 * DIRECTION_BITS
     return SearchTables(
         most,
@@ -174,7 +185,7 @@ def search_tables(
         epoch_of(guide.epoch_jyear),
         np.rint(guide.v_mag * (1 << MAGNITUDE_BITS)).astype(np.int64),
         np.asarray(guide.catalog.id, dtype=np.int64),
-        *_pairs(guide, directions, pair_share, bright_share),
+        *_pairs(guide, directions, triads),
         *_columns(directions),
         axes,
         outline,
@@ -198,20 +209,35 @@ def search_tables(
             + SCALE_LOG_PRIOR / math.log(2.0)
         ),
         _up([math.log2(largest_density(n)) for n in range(most + 1)]),
-        int(_down(math.log2(rate))),
+        int(_down(math.log2(settings.false_alarm_rate))),
         np.array([[_largest_mean(k, chance) for k in range(1, _MOST_NEEDED + 1)] for chance in CHANCES]),
-        round(tolerance * (1 << MAGNITUDE_BITS)),
+        _magnitude_tolerance(design),
+        SEARCHES if triads is None else triad_searches(triads.stars, triads.fixed > 0),
+        QUICK if triads is None else 0,
+        MOST_KEPT if triads is None else _ALL_VOTES,
+        triads,
     )
 
 
+def _magnitude_tolerance(design: FlightDesign) -> int:
+    """Between differences of brightness, 6 fraction bits; triads do not look at them."""
+    largest = LARGEST_MAG
+    if design.identifier == "adaptive":
+        largest = min(AdaptiveSettings.of(design.identification).magnitude_tolerance, largest)
+    return round(largest * (1 << MAGNITUDE_BITS))
+
+
 def _pairs(
-    guide: GuideDatabase, directions: IntArray, share: float, bright_share: float
+    guide: GuideDatabase, directions: IntArray, triads: TriadNumbers | None
 ) -> tuple[IntArray, IntArray, IntArray, int, int]:
     """Both stars of the pairs and the bins of their chords, in integers."""
+    share, bright_share, most = PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD
+    if triads is not None:
+        share, bright_share, most = 0.0, TRIAD_SHARE, round(TRIAD_BRIGHT * triads.stars)
     listed = guide.pairs_within(max(share, bright_share))
     if not len(listed):
         raise InputError("no two guide stars fit into the field; raise the magnitude limit")
-    bright = brightest_everywhere(guide.directions, guide.half_diagonal_rad, BRIGHT_IN_FIELD)
+    bright = brightest_everywhere(guide.directions, guide.half_diagonal_rad, most)
     near = listed.separation_rad <= 2.0 * guide.half_diagonal_rad * share
     kept = near | (bright[listed.first] & bright[listed.second])
     one, other = listed.first[kept], listed.second[kept]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from startracker.flight.directions import quaternion_of
 from startracker.flight.following import COASTING, REJECTED, TIME_BAD, Following, FollowingTables
-from startracker.flight.search import FlightPrior
+from startracker.flight.hypotheses import FlightPrior
 from startracker.flight.solver import FlightAnswer, FlightTracker
 from startracker.flight.stars import StarList
 

@@ -15,8 +15,9 @@ from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GridTables, plane_of, vectors_of
 from startracker.flight.evidence import sight
 from startracker.flight.front_end import FrontTables, front_tables, measure_frame
+from startracker.flight.hypotheses import FlightPrior, Reason
 from startracker.flight.pose import COVARIANCE_BITS, PoseTables, pose_tables, solve_pose
-from startracker.flight.search import FlightPrior, Found, Reason, identify
+from startracker.flight.search import Found, identify
 from startracker.flight.search_tables import SearchTables, search_tables
 from startracker.flight.stars import StarList
 from startracker.solution import Status

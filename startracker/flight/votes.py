@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from startracker.arrays import IntArray
 from startracker.flight.evidence import Sight
@@ -22,13 +23,16 @@ from startracker.flight.integers import rooted
 from startracker.flight.search_plan import Search
 from startracker.flight.search_tables import SearchTables
 
-MOST_NEIGHBOURS, MOST_CANDIDATES = 16, 48
-MOST_VOTES, MOST_KEPT, MOST_COUNT = 1024, 8192, 255
-"""Votes that there is room for at a time, that are kept about a pole, and that are counted for a guide star."""
+MOST_CANDIDATES = 48
+MOST_VOTES, MOST_COUNT = 1024, 255
+"""Votes that there is room for at a time, and that are counted for a guide star."""
 ABERRATION = 107
 """Relative error of a separation, as the pairs are those without aberration, 20 fraction bits."""
 _LEAST_ERRORS = 3
 _AREA_SHIFT = 30
+
+
+Triangles = tuple[IntArray, IntArray, IntArray]
 
 
 class Stars(NamedTuple):
@@ -58,7 +62,7 @@ class Candidates(NamedTuple):
     steps: int
 
 
-class _Neighbours(NamedTuple):
+class Neighbours(NamedTuple):
     """Stars (L,) that vote: their number, and first and one beyond the last of the pairs."""
 
     star: IntArray
@@ -66,11 +70,14 @@ class _Neighbours(NamedTuple):
     high: IntArray
 
 
-def separations(seen: Sight) -> Stars:
-    """Chords and errors of all pairs of observed stars."""
+def separations(seen: Sight, t: SearchTables) -> Stars:
+    """Chords and errors of all pairs of observed stars; for triads with a fixed tolerance, that tolerance."""
     apart = seen.direction[:, None] - seen.direction[None]
     variance = seen.variance[:, None] + seen.variance[None]
-    return Stars(rooted((apart * apart).sum(axis=-1)), rooted(variance))
+    error = rooted(variance)
+    if t.triads is not None and t.triads.fixed:
+        error = np.full_like(error, t.triads.fixed)
+    return Stars(rooted((apart * apart).sum(axis=-1)), error)
 
 
 def tolerance(chord: IntArray, error: IntArray, sides: int) -> IntArray:
@@ -78,18 +85,58 @@ def tolerance(chord: IntArray, error: IntArray, sides: int) -> IntArray:
     return np.asarray(((error * sides) >> 8) + ((chord * ABERRATION) >> 20))
 
 
-def neighbours_of(pole: int, stars: Stars, search: Search, t: SearchTables) -> _Neighbours:
-    """The nearest stars to a pole of those that vote, with the windows of guide pairs."""
+def neighbours_of(pole: int, first: int, stars: Stars, search: Search, t: SearchTables) -> Neighbours:
+    """The nearest stars to a pole of those that vote, from star number `first` on, with the windows of guide pairs."""
     among = min(search.among, len(stars.chord))
     chord = stars.chord[pole, :among]
     allowed = tolerance(chord, stars.error[pole, :among], search.sides)
-    useful = (np.arange(among) != pole) & (chord >= _LEAST_ERRORS * allowed) & (chord - allowed <= t.longest)
+    number = np.arange(among)
+    useful = (number != pole) & (number >= first) & (chord >= _LEAST_ERRORS * allowed) & (chord - allowed <= t.longest)
     star = np.flatnonzero(useful)
     star = star[np.argsort(chord[star], kind="stable")][: search.neighbours]
     last = len(t.bin_start) - 2
     low = np.minimum((chord[star] - allowed[star]) >> t.bin_shift, last)
     high = np.minimum((chord[star] + allowed[star]) >> t.bin_shift, last)
-    return _Neighbours(star, t.bin_start[low], t.bin_start[high + 1])
+    return Neighbours(star, t.bin_start[low], t.bin_start[high + 1])
+
+
+class Ballot:
+    """Votes about a pole, a part of the guide stars at a time.
+
+    Parameters
+    ----------
+    pole : int
+    near : Neighbours
+    seen : Sight
+    need : int
+        Fewest votes of a guide star whose votes are kept.
+    t : SearchTables
+
+    Attributes
+    ----------
+    looked : int
+        Pairs of all windows.
+    """
+
+    def __init__(self, pole: int, near: Neighbours, seen: Sight, need: int, t: SearchTables) -> None:
+        self._votes = _votes(pole, near, seen, t)
+        self._counts = np.minimum(np.bincount(self._votes[:, 2], minlength=len(t.guide)), MOST_COUNT)
+        self._need = _enough(self._counts, need, t.most_kept)
+        self._total = np.cumsum(np.where(self._counts >= self._need, self._counts, 0))
+        self._kept = self._begin = 0
+        self.looked = int((near.high - near.low).sum())
+
+    def part(self) -> IntArray | None:
+        """Votes (V, 3) for the next guide stars, by ascending guide star, each as in `_votes`; None: none is left."""
+        if self._kept >= int(self._total[-1]):
+            return None
+        end = int(np.searchsorted(self._total, self._kept + MOST_VOTES, side="right"))
+        self._kept = int(self._total[end - 1])
+        star, votes = self._votes[:, 2], self._votes
+        some = votes[(self._counts[star] >= self._need) & (star >= self._begin) & (star < end)]
+        self._begin = end
+        part = some[np.argsort(some[:, 2], kind="stable")]
+        return part[np.arange(len(part)) - np.searchsorted(part[:, 2], part[:, 2]) < MOST_COUNT]
 
 
 def vote_about(pole: int, seen: Sight, stars: Stars, search: Search, left: int, t: SearchTables) -> Candidates:
@@ -104,36 +151,28 @@ def vote_about(pole: int, seen: Sight, stars: Stars, search: Search, left: int, 
         Steps after which no further pass is begun.
     t : SearchTables
     """
-    none = np.empty((0, 5), np.int64)
-    near = neighbours_of(pole, stars, search, t)
+    found = [np.empty((0, 5), np.int64)]
+    near = neighbours_of(pole, 0, stars, search, t)
     if len(near.star) < search.need:
-        return Candidates(none, 0)
-    votes = _votes(pole, near, seen, t)
-    counts = np.minimum(np.bincount(votes[:, 2], minlength=len(t.guide)), MOST_COUNT)
-    need = _enough(counts, search.need)
-    looked = int((near.high - near.low).sum())
-    steps, found, begin = len(t.guide) + 2 * looked, [none], 0
-    total = np.cumsum(np.where(counts >= need, counts, 0))
-    kept = 0
-    while kept < int(total[-1]) and steps <= left:
-        end = int(np.searchsorted(total, kept + MOST_VOTES, side="right"))
-        kept = int(total[end - 1])
-        some = votes[(counts[votes[:, 2]] >= need) & (votes[:, 2] >= begin) & (votes[:, 2] < end)]
-        rows, compared = _agreeing(pole, some, near, seen, stars, search, t)
+        return Candidates(found[0], 0)
+    ballot = Ballot(pole, near, seen, search.need, t)
+    steps = len(t.guide) + 2 * ballot.looked
+    while steps <= left and (votes := ballot.part()) is not None:
+        rows, compared = _agreeing(pole, votes, near, seen, stars, search, t)
         found.append(rows)
-        steps, begin = steps + 2 * looked + 4 * compared, end
+        steps += 2 * ballot.looked + 4 * compared
     rows = np.concatenate(found)
     return Candidates(rows[np.argsort(-rows[:, 4], kind="stable")][:MOST_CANDIDATES], steps)
 
 
-def _enough(counts: IntArray, need: int) -> int:
-    """Fewest votes, at least `need`, of a guide star whose votes are kept, so that they are not too many."""
+def _enough(counts: IntArray, need: int, most: int) -> int:
+    """Fewest votes, at least `need`, of a guide star whose votes are kept, so that they are `most` or fewer."""
     number = np.bincount(counts, minlength=MOST_COUNT + 1)
     beyond = np.cumsum((number * np.arange(MOST_COUNT + 1))[::-1])[::-1]
-    return int(np.flatnonzero(beyond[need:] <= MOST_KEPT)[0]) + need if beyond[-1] <= MOST_KEPT else MOST_COUNT + 1
+    return int(np.flatnonzero(beyond[need:] <= most)[0]) + need if beyond[-1] <= most else MOST_COUNT + 1
 
 
-def _votes(pole: int, near: _Neighbours, seen: Sight, t: SearchTables) -> IntArray:
+def _votes(pole: int, near: Neighbours, seen: Sight, t: SearchTables) -> IntArray:
     """Votes (V, 3) in the order of the neighbours and pairs: the neighbour's number among them, its guide star, and
     that of the pole; only those whose difference in brightness is possible."""
     parts = []
@@ -150,41 +189,51 @@ def _votes(pole: int, near: _Neighbours, seen: Sight, t: SearchTables) -> IntArr
 
 
 def _agreeing(
-    pole: int, votes: IntArray, near: _Neighbours, seen: Sight, stars: Stars, search: Search, t: SearchTables
+    pole: int, votes: IntArray, near: Neighbours, seen: Sight, stars: Stars, search: Search, t: SearchTables
 ) -> tuple[IntArray, int]:
     """Candidates (K, 5), the best of each guide star, ascending, and the votes compared."""
-    order = np.argsort(votes[:, 2], kind="stable")
-    sorted_ = votes[order]
-    sorted_ = sorted_[np.arange(len(order)) - np.searchsorted(sorted_[:, 2], sorted_[:, 2]) < MOST_COUNT]
-    x, y = _same_star(sorted_[:, 2])
+    x, y = same_star(votes[:, 2])
     compared = len(x)
-    other = sorted_[x, 0] != sorted_[y, 0]
+    other = votes[x, 0] != votes[y, 0]
     x, y = x[other], y[other]
-    k, m = near.star[sorted_[x, 0]], near.star[sorted_[y, 0]]
-    a, b, c = sorted_[x, 2], sorted_[x, 1], sorted_[y, 1]
-    apart = t.guide[b] - t.guide[c]
-    square, chord = (apart * apart).sum(axis=1), stars.chord[k, m]
-    allowed = tolerance(chord, stars.error[k, m], search.sides)
-    low, high = np.maximum(chord - allowed, 0), chord + allowed
-    agree = (square >= low * low) & (square <= high * high)
-    observed = _area(seen.direction[pole], seen.direction[k], seen.direction[m])
-    known = _area(t.guide[a], t.guide[b], t.guide[c])
-    thin = np.abs(observed) <= (allowed * chord) >> _AREA_SHIFT
-    agree &= thin | ((observed > 0) == (known > 0))
+    k, m = near.star[votes[x, 0]], near.star[votes[y, 0]]
+    a, b, c = votes[x, 2], votes[x, 1], votes[y, 1]
+    agree = triangles_agree((np.full(len(k), pole), k, m), (a, b, c), seen, stars, search, t)
     x, y = x[agree], y[agree]
-    pairs = np.unique(np.stack([x, sorted_[y, 0]], axis=1), axis=0)  # a neighbour counts once
-    agreeing = np.bincount(pairs[:, 0], minlength=len(sorted_)) + 1
-    with_ = np.full(len(sorted_), -1, np.int64)
+    pairs = np.unique(np.stack([x, votes[y, 0]], axis=1), axis=0)  # a neighbour counts once
+    agreeing = np.bincount(pairs[:, 0], minlength=len(votes)) + 1
+    with_ = np.full(len(votes), -1, np.int64)
     with_[pairs[::-1, 0]] = pairs[::-1, 1]  # the nearest one that agrees
     good = np.flatnonzero(agreeing >= search.need)
     # of each guide star the vote with most agreeing ones, of equal ones that of the farthest neighbour
-    best = good[np.lexsort((good, -sorted_[good, 0], -agreeing[good], sorted_[good, 2]))]
-    best = best[np.unique(sorted_[best, 2], return_index=True)[1]]
-    columns = near.star[sorted_[best, 0]], sorted_[best, 2], sorted_[best, 1], near.star[with_[best]], agreeing[best]
+    best = good[np.lexsort((good, -votes[good, 0], -agreeing[good], votes[good, 2]))]
+    best = best[np.unique(votes[best, 2], return_index=True)[1]]
+    columns = near.star[votes[best, 0]], votes[best, 2], votes[best, 1], near.star[with_[best]], agreeing[best]
     return np.stack(columns, axis=1), compared
 
 
-def _same_star(star: IntArray) -> tuple[IntArray, IntArray]:
+def triangles_agree(
+    star: Triangles, guide: Triangles, seen: Sight, stars: Stars, search: Search, t: SearchTables
+) -> NDArray[np.bool_]:
+    """Mask (T,) of triangles of stars and of guide stars whose third sides, and sense, agree."""
+    _, k, m = star
+    p, q, r = (t.guide[corner] for corner in guide)
+    chord = stars.chord[k, m]
+    allowed = tolerance(chord, stars.error[k, m], search.sides)
+    observed, known = _area(*(seen.direction[corner] for corner in star)), _area(p, q, r)
+    thin = np.abs(observed) <= (allowed * chord) >> _AREA_SHIFT
+    return np.asarray(as_long(q - r, k, m, stars, search) & (thin | ((observed > 0) == (known > 0))))
+
+
+def as_long(apart: IntArray, i: IntArray, j: IntArray, stars: Stars, search: Search) -> NDArray[np.bool_]:
+    """Mask (T,) of differences (T, 3) of guide stars that are as long as the chords of pairs of stars."""
+    square, chord = (apart * apart).sum(axis=1), stars.chord[i, j]
+    allowed = tolerance(chord, stars.error[i, j], search.sides)
+    low, high = np.maximum(chord - allowed, 0), chord + allowed
+    return np.asarray((square >= low * low) & (square <= high * high))
+
+
+def same_star(star: IntArray) -> tuple[IntArray, IntArray]:
     """All ordered pairs of different entries of an ascending array that are equal."""
     size = np.unique(star, return_counts=True)[1]
     begin = np.repeat(np.cumsum(size) - size, size)

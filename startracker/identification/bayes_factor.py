@@ -259,7 +259,7 @@ def _log_volume(information: FloatArray, scale: float, focal_sigma: float) -> fl
     return float(volume)
 
 
-@kernel
+@kernel_part
 def _most_gained(matched: Matched, seen: IntArray, scale: float, other: float) -> float:
     """Most by which `_log_matches` without magnitudes can grow from errors of `scale` to `other` times the stated ones:
     the sum over the stars whose density there is larger."""

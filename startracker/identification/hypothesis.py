@@ -29,7 +29,7 @@ from startracker.trace import Steps
 
 SCALES: tuple[float, ...] = (1.0, 3.0, 10.0)
 """Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""
-_WIDEST = 0.01
+WIDEST_SHARE = 0.01
 """Largest error assumed, of the field's half diagonal (3.6 px of 512), unless more is stated."""
 
 
@@ -129,7 +129,7 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
 
 def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
     """Those of `SCALES` that leave the errors a small share of the field's half diagonal; at least the first."""
-    largest = _WIDEST * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
+    largest = WIDEST_SHARE * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
     return tuple(scale for scale in SCALES if scale <= largest) or SCALES[:1]
 
 

@@ -21,6 +21,7 @@ from simulator.study.exported_c.instructions import count_instructions, marked
 from simulator.study.exported_c.targets import CLANG, CORTEX_M4, EMULATED, HOST, M68K
 from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import FlightProgram, frame_bytes, list_text, parse_answer, velocity_of
+from startracker.flight.design import IDENTIFIERS
 from startracker.flight.export import flight_export
 from startracker.flight.solver import FlightTracker
 from startracker.flight.unit_scenes import SEED, VELOCITY, scene_rows, unit_lists, unit_scenes
@@ -28,6 +29,7 @@ from startracker.flight.unit_scenes import SEED, VELOCITY, scene_rows, unit_list
 COMPILER_CALLS = {"memset", "memcpy", "memmove"}
 """What a compiler may call for an assignment or a loop."""
 CONTEXT_LIMIT = 64 * 1024
+BUILDS = [("fixed", "adaptive"), ("float", "adaptive"), ("fixed", "triads")]
 PACKAGE = Path(__file__).parents[2] / "startracker" / "flight" / "package"
 
 needs_gcc = pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine (Debian: gcc)")
@@ -36,8 +38,8 @@ needs_m4 = pytest.mark.skipif(
 )
 
 
-def design_of(name, arithmetic="fixed"):
-    return flight_design(load_scenario(Path(name)), arithmetic)
+def design_of(name, arithmetic="fixed", identifier="adaptive"):
+    return flight_design(load_scenario(Path(name)), arithmetic, identifier)
 
 
 @pytest.fixture(scope="module")
@@ -124,9 +126,10 @@ def test_lists_bit_for_bit(program, tracker, design):
 
 
 @needs_gcc
-def test_memory_and_calls_of_the_cubesat(tmp_path):
+@pytest.mark.parametrize("identifier", IDENTIFIERS)
+def test_memory_and_calls_of_the_cubesat(tmp_path, identifier):
     """1024 × 1024 pixels in 64 kB beside the tables; no static variable, heap or library."""
-    program = FlightProgram(design_of("cubesat"), tmp_path)
+    program = FlightProgram(design_of("cubesat", identifier=identifier), tmp_path)
     build = program.build
     assert build.context_bytes <= CONTEXT_LIMIT
     assert build.static_bytes == 0
@@ -140,9 +143,10 @@ def test_memory_and_calls_of_the_cubesat(tmp_path):
 
 
 @needs_gcc
-@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
-def test_command_writes_a_package_that_builds_and_passes_its_tests(tmp_path, arithmetic):
+@pytest.mark.parametrize(("arithmetic", "identifier"), BUILDS)
+def test_command_writes_a_package_that_builds_and_passes_its_tests(tmp_path, arithmetic, identifier):
     words = ["export-c", str(tmp_path / "c"), "--scenario", "tc211", "--arithmetic", arithmetic, "--prefix", "tc"]
+    words += ["--identifier", identifier]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     for word in ("tables", "context", "stack", "heap", "0 bytes", "time of a frame", "README.md"):
@@ -155,7 +159,7 @@ def test_command_writes_a_package_that_builds_and_passes_its_tests(tmp_path, ari
     assert "5 lists, 0 failed" in made.stdout
     version = command([str(tmp_path / "c" / "solve"), "version"]).stdout
     assert "scenario tc211 " in version
-    assert f"; {arithmetic}; adaptive; " in version
+    assert f"; {arithmetic}; {identifier}; " in version
     assert version.strip().encode() in (tmp_path / "c" / "solve").read_bytes()
 
 
@@ -177,7 +181,9 @@ def test_unit_tests_notice_a_wrong_answer(design, tmp_path):
         assert changed
         for file, content in {**export.files, name: text}.items():
             (folder / file).write_text(content)
-        assert subprocess.run(["make", "-C", str(folder), "test"], capture_output=True, check=False).returncode != 0
+        made = subprocess.run(["make", "-C", str(folder), "CFLAGS=-std=c99", "test"], capture_output=True, check=False)
+        assert made.returncode != 0
+        assert re.search(rb" [1-9]\d* failed", made.stdout)
 
 
 @needs_gcc
@@ -204,14 +210,14 @@ def test_the_example_names_every_status_and_reason():
 
 # ------------------------------------------------------------------ all compilers and processors
 @pytest.mark.slow
-@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
+@pytest.mark.parametrize(("arithmetic", "identifier"), BUILDS)
 @pytest.mark.parametrize("target", EMULATED, ids=lambda target: target.name)
-def test_every_processor_gives_the_same_bits(target, arithmetic, frames, tmp_path):
+def test_every_processor_gives_the_same_bits(target, arithmetic, identifier, frames, tmp_path):
     if target.missing():
         pytest.skip(f"{target.missing()} is not installed (Debian: {target.debian})")
     if target is M68K and arithmetic == "float":
         pytest.skip("the CPU32 has no floating-point unit, and gcc's software for it rounds differently: use fixed")
-    made = design_of("tc211", arithmetic)
+    made = design_of("tc211", arithmetic, identifier)
     (tmp_path / "host").mkdir()
     (tmp_path / "target").mkdir()
     here, there = (FlightProgram(made, tmp_path / name, one) for name, one in (("host", HOST), ("target", target)))
@@ -244,10 +250,10 @@ def test_answers_are_counted_one_by_one(design, tmp_path):
 
 @pytest.mark.slow
 @needs_gcc
-@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
-def test_compilers_and_analysis_find_nothing(arithmetic, tmp_path):
+@pytest.mark.parametrize(("arithmetic", "identifier"), BUILDS)
+def test_compilers_and_analysis_find_nothing(arithmetic, identifier, tmp_path):
     """gcc and Clang with all warnings as errors, gcc's analyzer, cppcheck; MISRA's rules as MISRA.md lists them."""
-    made = design_of("tc211", arithmetic)
+    made = design_of("tc211", arithmetic, identifier)
     export = flight_export(made)
     compile_export(export, tmp_path, HOST, [*STRICT, "-O3"])
     if CLANG.missing() is None:
@@ -263,9 +269,9 @@ def test_compilers_and_analysis_find_nothing(arithmetic, tmp_path):
 
 @pytest.mark.slow
 @needs_gcc
-@pytest.mark.parametrize("arithmetic", ["fixed", "float"])
-def test_sanitizers_find_nothing(arithmetic, frames, tmp_path):
-    made = design_of("tc211", arithmetic)
+@pytest.mark.parametrize(("arithmetic", "identifier"), BUILDS)
+def test_sanitizers_find_nothing(arithmetic, identifier, frames, tmp_path):
+    made = design_of("tc211", arithmetic, identifier)
     flags = ["-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all", "-O1", "-g"]
     program = FlightProgram(made, tmp_path)
     plain = [program.frames([image], velocity) for image, velocity in frames]

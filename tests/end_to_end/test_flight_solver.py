@@ -14,13 +14,16 @@ from simulator.study.exported_c.build import HOST, compile_export
 from simulator.study.exported_c.targets import Target
 from startracker import Camera, StarTracker
 from startracker.distortion import Distortion
-from startracker.flight.design import DetectorNumbers, FlightDesign
-from startracker.flight.export import flight_export
-from startracker.flight.search import FlightPrior
+from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
+from startracker.flight.export import assemble, flight_export, flight_parts
+from startracker.flight.hypotheses import FlightPrior
 from startracker.flight.solver import FlightTracker
 from startracker.flight.stars import StarList
+from startracker.settings import TriadSettings
+from startracker.solution import Status
 
-SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wshadow")
+SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wshadow", "-O1")
+"""-O1: with sanitizers -O2 takes twice as long to compile as to run."""
 CLANG = Target("this machine", "clang-14")
 BUILDS = {"gcc": HOST, "clang": CLANG}
 ONE = 1 << 30
@@ -32,9 +35,10 @@ def star_tracker():
     return StarTracker(camera, magnitude_limit=5.8)
 
 
-@pytest.fixture(scope="module")
-def design(star_tracker):
-    return FlightDesign(star_tracker.camera, star_tracker.guide, DetectorNumbers(3.3, 13.0, 4083), 0.9)
+@pytest.fixture(scope="module", params=IDENTIFIERS)
+def design(request, star_tracker):
+    numbers = DetectorNumbers(3.3, 13.0, 4083)
+    return FlightDesign(star_tracker.camera, star_tracker.guide, numbers, 0.9, identifier=request.param)
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +106,27 @@ def test_priors_and_velocities_bit_for_bit(build, tracker, star_tracker):
         before.append((f"velocity {' '.join(map(str, velocity))}\nepoch {epoch}\nprior {prior}\n", known))
     answers = compare(build, tracker, lists, before)
     assert sum(answer.solved for answer in answers) > 4
+
+
+def test_triads_beyond_their_room_bit_for_bit(star_tracker, tmp_path):
+    """Triads, groups and names that there is no room for; a fixed tolerance; no test of inner angles."""
+    numbers = DetectorNumbers(3.3, 13.0, 4083)
+    settings = TriadSettings(separation_tolerance_deg=0.1, enclosed_tolerance_deg=None, vote_number=1, max_stars=9)
+    design = FlightDesign(
+        star_tracker.camera, star_tracker.guide, numbers, 0.9, identification=settings, identifier="triads"
+    )
+    tracker = FlightTracker.build(design)
+    limits = tracker.search_tables.triads
+    tracker.search_tables = tracker.search_tables._replace(triads=limits._replace(room=200))
+    made = compile_export(assemble(design, flight_parts(tracker), "tracker", ""), tmp_path, HOST, SANITIZED)
+    rng = stream(5, "flight solver room")
+    lists = [
+        field_list(star_tracker, FIELDS[kind], rng).stars for kind in ("clean", "noise", "few stars") for _ in range(2)
+    ]
+    lists.append(null_list(star_tracker, "uniform", rng))
+    answers = compare(made, tracker, lists)
+    assert sum(answer.solved for answer in answers) >= 3
+    assert answers[-1].status is Status.SEARCH_LIMIT
 
 
 def test_lists_that_make_no_sense_bit_for_bit(build, tracker, star_tracker):

@@ -125,7 +125,10 @@ def test_errors_are_those_of_the_bound(tables, flux, sigma, moved, excess):
 def test_a_gradient_is_followed(tables, slope_x, slope_y):
     """Light that rises by 1 to 3 DN a pixel, up to 1440 DN: a plane, which neither the interpolation along x nor the
     filter along y changes. The level's error is that of a tile of 128 pixels, 1/√128 = 0.09 of the pixels' noise, and a
-    third of it for the noise that the slope across a tile adds; 98 % of the stars, of 14σ and more, are found."""
+    third of it for the noise that the slope across a tile adds; 98 % of the stars, of 14σ and more, are found.
+
+    A slope left in the stamp would move the stars of a Gaussian of flux F and width s (pixel included) by 8πs⁴ slope/F,
+    0.02 px for 1 DN a pixel; they are at their positions to 4 standard errors and a tenth of it."""
     y, x = np.mgrid[:SIDE, :SIDE]
     glow = slope_x * x + slope_y * y - min(slope_y, 0.0) * SIDE
     image, xy = grid_frame(1000.0, 0.9, 3, glow=glow)
@@ -133,7 +136,81 @@ def test_a_gradient_is_followed(tables, slope_x, slope_y):
     at = np.mgrid[24 : SIDE - 24 : 8, 24 : SIDE - 24 : 8].reshape(2, -1)
     off = at_columns(lines.level, tables, *at) / 256.0 - LEVEL - glow[tuple(at)]
     assert np.sqrt((off**2 / (NOISE**2 + 1.0 / 12.0 + glow[tuple(at)] / GAIN)).mean()) < 0.12
-    assert len(errors_of(measure_frame(image, tables).stars, xy)[0]) >= 0.98 * len(xy)
+    errors, _ = errors_of(measure_frame(image, tables).stars, xy)
+    assert len(errors) >= 0.98 * len(xy)
+    moved = 8.0 * np.pi * (0.9**2 + 1.0 / 12.0) ** 2 * np.hypot(slope_x, slope_y) / 1000.0
+    assert (np.abs(errors.mean(axis=0)) < 4.0 * errors.std(axis=0) / np.sqrt(len(errors)) + 0.1 * moved).all()
+
+
+TRAIL_PITCH = 60
+
+
+def trail_image(offset, sigma, moved, half=26):
+    """As `image_of`, of a long line."""
+    steps = (np.arange(200) + 0.5) / 200.0 - 0.5
+    down = np.array([shares(offset[1] + t * moved[1], sigma, half) for t in steps])
+    across = np.array([shares(offset[0] + t * moved[0], sigma, half) for t in steps])
+    return np.einsum("ti,tj->ij", down, across) / len(steps)
+
+
+def trail_bound(flux, sigma, moved):
+    """Cramér–Rao bound along and across a trail at the centre of a pixel, px; flux unknown. Length and direction are
+    even about its middle, so that they cost nothing."""
+    unit = np.array(moved) / np.hypot(*moved)
+    mean, slopes = flux * trail_image((0.0, 0.0), sigma, moved), []
+    for axis in (unit, (-unit[1], unit[0])):
+        ahead, behind = (trail_image(sign * 1e-3 * np.array(axis), sigma, moved) for sign in (1, -1))
+        slopes.append(flux * (ahead - behind) / 2e-3)
+    rows = np.array([mean / flux, *slopes]).reshape(3, -1)
+    return np.sqrt(np.diag(np.linalg.inv((rows / (NOISE**2 + 1.0 / 12.0 + mean / GAIN).ravel()) @ rows.T))[1:])
+
+
+def trail_frame(flux, sigma, moved, seed):
+    """A frame of equal trails on a grid at random phases, every other column half a pitch lower, and their middles."""
+    rng = np.random.default_rng(seed)
+    middles = np.arange(TRAIL_PITCH // 2, SIDE, TRAIL_PITCH)
+    light, xy = np.zeros((SIDE, SIDE)), []
+    for column, x in enumerate(middles):
+        for y in middles[: len(middles) - column % 2] + column % 2 * TRAIL_PITCH // 2:
+            offset = rng.uniform(-0.5, 0.5, 2)
+            light[y - 26 : y + 27, x - 26 : x + 27] += flux * trail_image(offset, sigma, moved)
+            xy.append((x + offset[0], y + offset[1]))
+    values = np.rint(LEVEL + rng.poisson(light * GAIN) / GAIN + rng.normal(0.0, NOISE, light.shape))
+    return np.clip(values, 0, 4095).astype(np.uint16), np.array(xy)
+
+
+@pytest.mark.parametrize(
+    ("flux", "moved"),
+    [
+        (700.0, (8.0, 6.0)),
+        (1500.0, (30.0, 0.5)),
+        (20000.0, (-16.0, 25.0)),
+        pytest.param(1500.0, (1.0, 24.0), marks=pytest.mark.slow),
+        pytest.param(2000.0, (25.0, 25.0), marks=pytest.mark.slow),
+    ],
+)
+def test_errors_of_trails_are_those_of_the_bound(tables, flux, moved):
+    """Within 6 %, for the window (3.5 px to either side), pixels of a line that no component is near, and a model that
+    takes a pixel's light at its middle; and 4 standard errors of a root mean square, 4/√(2N). All are found, as a trail
+    is a signal of 30σ at least, and nothing else."""
+    sigma, errors, stated = 0.9, [], []
+    for seed in range(3):
+        image, xy = trail_frame(flux, sigma, moved, seed)
+        stars = measure_frame(image, tables).stars
+        off, index = errors_of(stars, xy)
+        assert len(off) == len(stars.x) >= 0.98 * len(xy)
+        errors.append(off)
+        stated.append(stars.variance_px2[index])
+    errors, unit = np.concatenate(errors), np.array(moved) / np.hypot(*moved)
+    both = np.column_stack([errors @ unit, errors @ (-unit[1], unit[0])])
+    noise = 4.0 / np.sqrt(2.0 * len(both))
+    limit = np.hypot(trail_bound(flux, sigma, moved), 0.001)
+    ratio = np.sqrt((both**2).mean(axis=0)) / limit
+    assert (ratio > 1.0 - noise).all()
+    assert (ratio < 1.06 + noise).all()
+    assert (np.abs(both.mean(axis=0)) < 4.0 * limit / np.sqrt(len(both)) + 0.001).all()
+    honest = np.sqrt((both**2).sum() / 2.0 / np.concatenate(stated).sum())
+    assert 1.0 - noise < honest < 1.06 + noise
 
 
 def test_detection_rate_and_false_alarms(tables):
@@ -167,13 +244,20 @@ def matched(xy, true, alone):
 
 
 @pytest.mark.parametrize(
-    ("name", "frames"), [("cubesat_ideal", 2), ("tc211", 6), ("gallery/hot_pixels", 1), ("gallery/moon", 2)]
+    ("name", "frames", "rate", "limit"),
+    [
+        ("cubesat_ideal", 2, None, 1.05),
+        ("tc211", 6, None, 1.05),
+        ("gallery/hot_pixels", 1, None, 1.05),
+        ("gallery/moon", 2, None, 1.05),
+        ("cubesat_ideal", 2, "[0.5, 0, 0.5]", 1.1),
+    ],
 )
-def test_as_accurate_as_the_tracker_s_own(name, frames):
+def test_as_accurate_as_the_tracker_s_own(name, frames, rate, limit):
     """In the same frames as many stars, no more false ones, and the errors of stars without a neighbour within 6 px
     that both find: the root mean square within the 5 % that an attitude may lose, the median within 8 %, as that of a
-    few hundred differences scatters."""
-    scenario = Scenario.load(f"scenarios/{name}.yaml")
+    few hundred differences scatters. Of trails of 10 px the root mean square may be 10 % larger, which is the aim."""
+    scenario = Scenario.load(f"scenarios/{name}.yaml", [f"pointing.rate_deg_s={rate}"] if rate else [])
     design, renderer = flight_design(scenario), Renderer(scenario)
     tables, tracker = front_tables(design), build_tracker(scenario, renderer.camera)
     pairs, counts = [], np.zeros((2, 2), int)
@@ -192,5 +276,5 @@ def test_as_accurate_as_the_tracker_s_own(name, frames):
     ours, theirs = np.array(pairs).swapaxes(0, 1)
     assert counts[0, 0] >= 0.99 * counts[1, 0]
     assert counts[0, 1] <= counts[1, 1]
-    assert np.sqrt((ours**2).mean() / (theirs**2).mean()) < 1.05
+    assert np.sqrt((ours**2).mean() / (theirs**2).mean()) < limit
     assert np.median(np.hypot(*ours.T)) < 1.08 * np.median(np.hypot(*theirs.T))

@@ -96,7 +96,7 @@ def test_a_colour_image_keeps_its_colours():
     assert tinted.shape == (480, 640, 3)
 
 
-@pytest.mark.parametrize("size", [(512, 512), (4000, 3000), (200, 60), (60, 200), (1, 1)])
+@pytest.mark.parametrize("size", [(512, 512), (4000, 400), (200, 60), (60, 200), (1, 1)])
 def test_any_size_gives_a_readable_picture(size):
     camera = Camera.from_fov(25.0, *size)
     solution = field(camera, Attitude.from_radec_roll(84.0, 0.0, 10.0), 4.0)

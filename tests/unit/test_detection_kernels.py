@@ -171,7 +171,7 @@ def test_clutter_against_its_definition(missing):
         median = np.sort(image[ring])[ring.sum() // 2]
         fourth = np.sort(tops)[4] - median
         expected[n] = fourth > 4.0 and 12.0 - median < 2.0 * fourth
-    found = are_clutter(Searched(image, level, level, UNFILTERED), x, y, radius, 4.0, 2.0)
+    found = are_clutter(Searched(image, level, level, UNFILTERED), np.stack([x, y], axis=1), radius, 4.0, 2.0)
     assert np.array_equal(found, expected)
     assert 5 < expected.sum() < 75
 

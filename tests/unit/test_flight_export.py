@@ -58,6 +58,26 @@ def test_all_headers_and_sources_are_there(export):
         assert f"vega_1_{module}.c" in export.files["CMakeLists.txt"]
 
 
+def test_an_export_has_the_sources_of_its_identifier_alone(design, export):
+    """Of the 41 files those of the hypotheses differ; the version, the header and the README say which they are."""
+    triads = flight_export(replace(design, identifier="triads"), "vega_1")
+    own = {f"vega_1_{name}" for name in ("triads.c", "triad_votes.c", "cordic.c", "cordic.h")}
+    others = {"vega_1_candidates.c", "vega_1_confirm.c"}
+    assert triads.files.keys() - export.files.keys() == own
+    assert export.files.keys() - triads.files.keys() == others
+    assert "search_needed" not in triads.files["vega_1_tables.h"]
+    assert "rotation_step" not in export.files["vega_1_tables.h"]
+    for made, name in ((export, "adaptive"), (triads, "triads")):
+        assert f"; {name}; tables" in made.files["vega_1_tables.c"]
+        for file in ("README.md", "MISRA.md", "vega_1.h"):
+            assert f"identification: {name}" in made.files[file], file
+
+
+def test_the_scenario_says_its_identifier():
+    for scenario, identifier in (("xybion", "triads"), ("tc211", "adaptive"), ("sunsat", "adaptive")):
+        assert flight_design(load_scenario(Path(scenario))).identifier == identifier
+
+
 def test_the_version_is_of_the_tables(design, export):
     version = re.search(r'vega_1_version\[(\d+)\] = "([^"]+)"', export.files["vega_1_tables.c"])
     assert int(version[1]) == len(version[2]) + 1
@@ -84,7 +104,10 @@ def test_two_stages_cannot_define_the_same(design):
         (("--scenario", "tc211", "--size", "9x9"), "--size: has no effect with --scenario"),
         (("--scenario", "tc211", "--arithmetic", "double"), "arithmetic must be fixed or float"),
         (("--scenario", "tc211", "--identifier", "pyramid"), "identifier must be adaptive or triads"),
-        (("--scenario", "tc211", "--identifier", "triads"), "--identifier: the flight build has adaptive alone"),
+        (
+            ("--scenario", "xybion", "--set", "tracker.identification.max_stars=30"),
+            "identifier triads: set tracker.identification.max_stars to 3 to 24",
+        ),
         (("--scenario", "tc211", "--prefix", "9a"), "--prefix"),
         (("--scenario", "tc211", "--set", "optics.apertur_mm=3"), "optics.aperture_mm"),
         (("--arithmetic", "float"), "--arithmetic: has no effect without --scenario"),

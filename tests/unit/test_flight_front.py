@@ -84,6 +84,18 @@ def adverse(width, height):
         for t in np.linspace(-8, 8, 40):
             trails += 8 * np.exp(-((x - sx - t) ** 2 + (y - sy - 0.5 * t) ** 2) / 1.6)
     yield "trails", trails
+    for name, (along_x, along_y), light in (
+        ("flat", (26, 1), 500),
+        ("steep", (-2, 25), 900),
+        ("broken", (18, 18), 220),
+    ):
+        lines = rng.normal(100, 4, x.shape)
+        for number in range(40):
+            sx, sy = rng.uniform(0, width), rng.uniform(0, height)
+            for t in np.linspace(-0.5, 0.5, 50):
+                spot = np.exp(-((x - sx - t * along_x) ** 2 + (y - sy - t * along_y) ** 2) / 1.6)
+                lines += (1 + 30 * (number % 8 == 0)) * light / 250 * spot
+        yield f"{name} trails", np.clip(lines, 0, 4095)
 
 
 def compare(tables, compiled):
@@ -103,7 +115,7 @@ def test_adverse_frames_bit_for_bit(design, tmp_path, build):
     tables = resized(design, *side)
     found = compare(tables, CompiledFront(tables, tmp_path, *options))
     if build == "plain":
-        assert min(found[name] for name in ("crowd", "saturated crowd", "pairs", "trails")) > 0
+        assert min(found[name] for name in ("crowd", "saturated crowd", "pairs", "trails", "flat trails")) > 0
         for name in ("dark", "full", "columns", "slope", "noise of no light", "checkerboard"):
             assert found[name] == 0, name
 

@@ -13,14 +13,13 @@ from startracker import Camera, StarTracker
 from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.estimation.directions import focal_slopes, normal_equations
-from startracker.flight import search as searching
 from startracker.flight import search_tables as tabled
 from startracker.flight.apparent import FlightObserver, epoch_of
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.directions import plane_of, vectors_of
 from startracker.flight.evidence import LOG_UP, log_down, log_sum, log_sum_up, sight, weigh
 from startracker.flight.evidence import Match as IntegerMatch
-from startracker.flight.search import FlightPrior, Reason, pair_frame
+from startracker.flight.hypotheses import FlightPrior, Reason, pair_frame
 from startracker.flight.search_plan import SEARCHES
 from startracker.flight.search_tables import search_tables
 from startracker.flight.solver import SATURATED_PART, FlightTracker
@@ -32,7 +31,7 @@ from startracker.identification.bayes_factor import Matched, count_table, log_ba
 from startracker.identification.clustering_null import clustering_price, log_excess_density
 from startracker.identification.verification import MOST_EXTRA
 from startracker.observer import Observer
-from startracker.settings import DetectionSettings
+from startracker.settings import DetectionSettings, TriadSettings
 from startracker.solution import Status
 from startracker.survey import SATURATED_SHARE
 
@@ -153,7 +152,7 @@ def test_evidence_is_that_of_floating_point_and_never_above(star_tracker, tracke
 
 def brute_force(pole, seen, sides, plan, t):
     """Guide stars that a pole may be, by loops over the neighbours' pairs, and how many neighbours agree."""
-    near = neighbours_of(pole, sides, plan, t)
+    near = neighbours_of(pole, 0, sides, plan, t)
     votes = {}
     for k, star in enumerate(near.star.tolist()):
         fainter = int(seen.magnitude[pole] - seen.magnitude[star])
@@ -181,13 +180,12 @@ def brute_force(pole, seen, sides, plan, t):
     return out
 
 
-def test_votes_are_those_of_brute_force(star_tracker, tracker, tables, monkeypatch):
-    monkeypatch.setattr("startracker.flight.votes.MOST_KEPT", 10**6)
-    plan = SEARCHES[0]
+def test_votes_are_those_of_brute_force(star_tracker, tracker, tables):
+    tables, plan = tables._replace(most_kept=10**6), SEARCHES[0]
     found = 0
     for one in fields(star_tracker, "false stars", 2):
         seen = seen_by(tracker, one.stars)
-        sides = separations(seen)
+        sides = separations(seen, tables)
         for pole in range(3):
             got = vote_about(pole, seen, sides, plan, 10**9, tables)
             expected = brute_force(pole, seen, sides, plan, tables)
@@ -200,7 +198,7 @@ def test_votes_are_those_of_brute_force(star_tracker, tracker, tables, monkeypat
 def test_more_votes_than_there_is_room_for(star_tracker, tracker, tables, monkeypatch):
     """The passes over ranges of guide stars give what a single one does."""
     seen = seen_by(tracker, fields(star_tracker, "clean", 1)[0].stars)
-    sides, plan = separations(seen), SEARCHES[1]
+    sides, plan = separations(seen, tables), SEARCHES[1]
     whole = vote_about(0, seen, sides, plan, 10**9, tables)
     looked = whole.steps
     monkeypatch.setattr("startracker.flight.votes.MOST_VOTES", MOST_VOTES // 4)
@@ -242,8 +240,8 @@ def test_statuses(star_tracker, tracker, monkeypatch):
     assert tracker.solve_stars(one._replace(variance=one.variance * 0 + (26 << 26))).reason is Reason.FEW_FOUND
     assert tracker.solve_stars(one._replace(variance=one.variance * 0)).solved
     assert tracker.solve_stars(one._replace(flux=one.flux * 0)).solved
-    few = [plan._replace(steps=0, poles=2) for plan in SEARCHES]
-    monkeypatch.setattr(searching, "SEARCHES", few)
+    few = tuple(plan._replace(steps=0, poles=2) for plan in SEARCHES)
+    monkeypatch.setattr(tracker, "search_tables", tracker.search_tables._replace(searches=few))
     null = null_list(star_tracker, "uniform", stream(5, "limit"))
     assert tracker.solve_stars(null).status is Status.SEARCH_LIMIT
 
@@ -342,7 +340,7 @@ def test_frame_of_a_pair_is_orthonormal():
 
 def test_designs_that_are_refused(tracker):
     for changed, message in (
-        ({"identifier": "triads"}, "without --scenario"),
+        ({"identifier": "triads", "identification": TriadSettings(max_stars=40)}, "max_stars to 3 to 24"),
         ({"detection": DetectionSettings(max_stars=200)}, "up to 120 stars"),
     ):
         with pytest.raises(InputError, match=message):

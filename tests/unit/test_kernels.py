@@ -196,9 +196,11 @@ def test_median_is_that_of_numpy(values):
 
 
 def test_times_of_a_solution_leave_the_compiler_out(monkeypatch):
+    began = time.perf_counter()
     stages = Clock()
     time.sleep(0.05)
     monkeypatch.setattr(progress, "seconds", progress.seconds + 0.05)  # as if all of it had been compiling
     stages.lap("detection")
-    assert stages.laps["detection"] < 40.0
-    assert stages.times_ms()["total"] < 40.0
+    total_ms = stages.times_ms()["total"]
+    all_but_compiling_ms = (time.perf_counter() - began) * 1e3 - 50.0
+    assert 0.0 < stages.laps["detection"] < total_ms < all_but_compiling_ms

@@ -16,22 +16,29 @@ from startracker.observer import Observer
 from startracker.settings import TrackingSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
 
+_TRIADS = ("triads", "triads_integer")
+"""Identifiers of the star tracker that a flight build has as ``triads``."""
 
-def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str = "adaptive") -> FlightDesign:
+
+def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str | None = None) -> FlightDesign:
     """What the flight build of a scenario's camera is made for.
 
     Parameters
     ----------
     scenario : Scenario
         Camera, detector and settings of the tracker.
-    arithmetic, identifier : str
+    arithmetic : str
         As in `FlightDesign`.
+    identifier : str, optional
+        As in `FlightDesign`; default: ``triads`` for a scenario with triads, else ``adaptive``.
 
     Raises
     ------
     InputError
         For an unknown arithmetic or identifier, or a camera that cannot be built.
     """
+    if identifier is None:
+        identifier = "triads" if scenario.tracker.identifier in _TRIADS else "adaptive"
     renderer = Renderer(scenario)
     tracker = build_tracker(scenario, renderer.camera)
     psf = renderer.focal_plane.psfs.psf()
@@ -67,7 +74,7 @@ def _motion(section: SequenceSection) -> RateNoise | GyroNoise:
 
 def _identification(scenario: Scenario, settings: IdentificationSettings, identifier: str) -> IdentificationSettings:
     """Settings of the scenario's identifier; those that all methods share if the flight build has another one."""
-    if scenario.tracker.identifier == identifier:
+    if identifier == scenario.tracker.identifier or (identifier == "triads" and scenario.tracker.identifier in _TRIADS):
         return settings
     shared = {one.name: getattr(settings, one.name) for one in dataclasses.fields(IdentificationSettings)}
     return IdentificationSettings(**shared)

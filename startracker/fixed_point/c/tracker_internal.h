@@ -3,10 +3,10 @@
 #define TRACKER_INTERNAL_H
 
 #include "tracker.h"
+#include "tracker_cordic.h"
 #include "tracker_integers.h"
 
 /* tracker_separations.c */
-int64_t tracker_fine_angle(int64_t y, int64_t x);            /* degrees, 40 fraction bits, -90 to 270 */
 int32_t tracker_direction(int64_t y, int64_t x);             /* degrees of 10.6, from the arccosine table */
 int tracker_image_separation(int64_t chi, int64_t psi);      /* 6.10; -1: overflow */
 int32_t tracker_catalog_separation(int a, int b);            /* 22.10 */

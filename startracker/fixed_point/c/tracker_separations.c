@@ -1,39 +1,5 @@
-/* Arctangents, separations and angles of stars in integers, from tables. */
+/* Separations and angles of stars in integers, from tables. */
 #include "tracker_internal.h"
-
-int64_t tracker_fine_angle(int64_t y, int64_t x)
-{
-    int64_t largest = tracker_magnitude(y), angle = 0, turned;
-    int k;
-
-    if (tracker_magnitude(x) > largest)
-        largest = tracker_magnitude(x);
-    if (largest == 0)
-        return 0;
-    while (largest < (int64_t)1 << 58) {
-        largest *= 2;
-        y *= 2;
-        x *= 2;
-    }
-    if (x < 0) {
-        y = -y;
-        x = -x;
-        angle = (int64_t)180 << 40;
-    }
-    for (k = 0; k < TRACKER_ROTATIONS; k++) {
-        if (y > 0) {
-            turned = y - (x >> k);
-            x = x + (y >> k);
-            angle += tracker_rotation_step[k];
-        } else {
-            turned = y + (x >> k);
-            x = x - tracker_shift_right(y, k);
-            angle -= tracker_rotation_step[k];
-        }
-        y = turned;
-    }
-    return angle;
-}
 
 int32_t tracker_direction(int64_t y, int64_t x)
 {
@@ -94,16 +60,13 @@ int32_t tracker_catalog_separation(int a, int b)
 
 int32_t tracker_catalog_angle(int vertex, int first, int second)
 {
-    int64_t v[3], u[3], w[3], normal[3], sine, cosine;
+    int64_t v[3], p[3], q[3];
     int k;
 
     for (k = 0; k < 3; k++) {
         v[k] = tracker_star_direction[vertex][k];
-        u[k] = tracker_star_direction[first][k] - v[k];
-        w[k] = tracker_star_direction[second][k] - v[k];
+        p[k] = tracker_star_direction[first][k];
+        q[k] = tracker_star_direction[second][k];
     }
-    tracker_cross(u, w, normal);
-    sine = tracker_dot(normal, v);
-    cosine = tracker_dot(u, w) - tracker_shift_right(tracker_dot(u, v) * tracker_dot(w, v), 30);
-    return (int32_t)tracker_shift_right(tracker_fine_angle(tracker_magnitude(sine), cosine), 34);
+    return tracker_inner_angle(v, p, q);
 }

@@ -183,6 +183,7 @@ void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
         line->level[tile + 1] =
             limited(block->level[tile] + tracker_shift_right(moved, 3), LARGEST_LEVEL << 12) >> 4;
         line->noise[tile + 1] = block->noise[tile] >> 4;
+        line->slope[tile + 1] = (int32_t)tracker_shift_right(block->slope[tile], 6);
     }
     tile = TRACKER_FRONT_TILES > 1;
     line->level[0] = extended(line->level[1], line->level[1 + tile], 0);
@@ -190,6 +191,8 @@ void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
         extended(line->level[TRACKER_FRONT_TILES], line->level[TRACKER_FRONT_TILES - tile], 1);
     line->noise[0] = line->noise[1];
     line->noise[TRACKER_FRONT_TILES + 1] = line->noise[TRACKER_FRONT_TILES];
+    line->slope[0] = line->slope[1];
+    line->slope[TRACKER_FRONT_TILES + 1] = line->slope[TRACKER_FRONT_TILES];
 }
 
 int tracker_front_cell(int32_t x)
@@ -206,4 +209,30 @@ int32_t tracker_front_between(const int32_t *knots, int cell, int32_t x)
     int64_t rise = (int64_t)(knots[cell + 1] - knots[cell]) * tracker_front_inverse[cell];
 
     return knots[cell] + (int32_t)tracker_shift_right(rise * (x - tracker_front_knot[cell]), 16);
+}
+
+/* A pixel without the rise of the background, in whole DN; it remains saturated, or not. */
+static uint16_t without(uint16_t value, int32_t rise)
+{
+    const int32_t most = TRACKER_FRONT_SATURATION - 1 < UINT16_MAX ? TRACKER_FRONT_SATURATION - 1 : UINT16_MAX;
+
+    return value < TRACKER_FRONT_SATURATION ? (uint16_t)limited((int64_t)value - rise, most) : value;
+}
+
+void tracker_front_level(const struct tracker_front_rows *rows, int cell, struct tracker_front_candidate *candidate)
+{
+    const int32_t *level = rows->line.level;
+    const int32_t across =
+        (int32_t)tracker_shift_right((int64_t)(level[cell + 1] - level[cell]) * tracker_front_inverse[cell], 16);
+    const int32_t down = tracker_front_between(rows->line.slope, cell, candidate->x);
+    int32_t rise;
+    int i, j;
+
+    for (j = 0; j < TRACKER_FRONT_SIDE; j++)
+        for (i = 0; i < TRACKER_FRONT_SIDE; i++) {
+            uint16_t *value = &candidate->stamp[j * TRACKER_FRONT_SIDE + i];
+            rise = across * (i - TRACKER_FRONT_HALF) + down * (j - TRACKER_FRONT_HALF);
+            if (tracker_front_inside(candidate, i, j))
+                *value = without(*value, (int32_t)tracker_shift_right(rise + 128, 8));
+        }
 }

@@ -9,9 +9,9 @@ struct tracker_front_block {
     int32_t level[TRACKER_FRONT_TILES], slope[TRACKER_FRONT_TILES], noise[TRACKER_FRONT_TILES];
 };
 
-/* Background of a row in its knots, DN of 8 fraction bits. */
+/* Background of a row in its knots, and the slope of its level a row, DN of 8 fraction bits. */
 struct tracker_front_line {
-    int32_t level[TRACKER_FRONT_KNOTS], noise[TRACKER_FRONT_KNOTS];
+    int32_t level[TRACKER_FRONT_KNOTS], noise[TRACKER_FRONT_KNOTS], slope[TRACKER_FRONT_KNOTS];
 };
 
 /* A run of pixels above the threshold, its sums, and later its component. */
@@ -47,7 +47,7 @@ struct tracker_front_object {
     uint8_t kind, star;            /* one of tracker_front_kind; whether it has a saturated star's size and shape */
 };
 
-/* A local maximum of the filtered frame, with its pixels; 0 beyond the frame. */
+/* A local maximum of the filtered frame, with its pixels, without the slope of the background; 0 beyond the frame. */
 struct tracker_front_candidate {
     int32_t height;             /* above the background, filtered units */
     int32_t level, noise;       /* background, DN of 8 fraction bits */

@@ -11,6 +11,8 @@ void tracker_front_follow(struct tracker_front_rows *rows, int32_t block, int32_
 void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y);                   /* fills rows->line */
 int tracker_front_cell(int32_t x);                                                        /* knots about a column */
 int32_t tracker_front_between(const int32_t *knots, int cell, int32_t x);
+void tracker_front_level(const struct tracker_front_rows *rows, int cell,
+                         struct tracker_front_candidate *candidate); /* removes the background's slope from its stamp */
 
 /* tracker_rows.c */
 void tracker_front_bridge_row(struct tracker_front_rows *rows, int32_t y); /* rows up to y - 1 are then without hot pixels */

@@ -254,7 +254,7 @@ static void decide(struct tracker_front *front)
 {
     front->decided = 1;
     if (TRACKER_FRONT_POOL > TRACKER_FRONT_TRAIL_POINTS && !tracker_front_look_trailed(front)) {
-        front->tracing = 0;
+        front->tracing = front->trails = front->motion.known = 0;
         front->room = TRACKER_FRONT_POOL;
     }
 }
@@ -288,6 +288,7 @@ static void consider(struct tracker_front *front, int cell, int32_t x, int32_t y
     kept->noise = here.noise;
     kept->height = here.height;
     copy_stamp(rows, kept);
+    tracker_front_level(rows, cell, kept);
     rows->worst = -1;
 }
 
@@ -345,21 +346,21 @@ static void search(struct tracker_front *front, const struct limits *limits, int
 {
     struct tracker_front_rows *rows = &front->work.rows;
     struct growing growing;
-    int32_t x, end, limit, step, low, low_step, filtered;
+    const int32_t *least = front->tracing ? limits->half : limits->whole; /* all that matters for most pixels */
+    int32_t x, end, limit, step, whole_step, filtered;
     int cell, open = 0, full = 0;
 
     for (cell = 0; cell <= TRACKER_FRONT_TILES; cell++) {
         x = larger(cell == 0 ? 0 : tracker_front_knot[cell], REACH);
         end = smaller(cell == TRACKER_FRONT_TILES ? TRACKER_WIDTH : tracker_front_knot[cell + 1], TRACKER_WIDTH - REACH);
-        step = step_of(limits->whole, cell);
-        low_step = step_of(limits->half, cell);
-        limit = limits->whole[cell] + step * (x - tracker_front_knot[cell]);
-        low = limits->half[cell] + low_step * (x - tracker_front_knot[cell]);
+        step = step_of(least, cell);
+        whole_step = step_of(limits->whole, cell);
+        limit = least[cell] + step * (x - tracker_front_knot[cell]);
         for (; x < end; x++) {
             filtered = filtered_here(rows, x);
-            if (filtered > low && front->tracing)
+            if (filtered > limit && front->tracing)
                 tracker_front_trace(front, y, x);
-            if (filtered > limit) {
+            if (filtered > limit && filtered > limits->whole[cell] + whole_step * (x - tracker_front_knot[cell])) {
                 full = full || (!open && rows->runs[y & 1] == TRACKER_FRONT_RUNS);
                 if (!full) {
                     add_pixel(front, &growing, cell, x, y, open);
@@ -371,7 +372,6 @@ static void search(struct tracker_front *front, const struct limits *limits, int
                 open = 0;
             }
             limit += step;
-            low += low_step;
         }
     }
     if (open)

@@ -1,5 +1,5 @@
-/* The default identification: candidates, confirmation, verification, acceptance; the same operations as
- * startracker/flight/search.py, which explains them. */
+/* Identification: searches for hypotheses, acceptance; the same operations as startracker/flight/search.py and
+ * hypotheses.py, which explain them. */
 #include "tracker_search.h"
 
 #include "tracker_integers.h"
@@ -14,10 +14,8 @@
 #define MAGNITUDE_FACTOR 24660
 #define MAGNITUDE_SHIFT 21
 #define LEAST_EVIDENCE (-29545)
-#define SURE_BEYOND 88640
 #define RIVALS_BEYOND 29547
 #define AS_STATED 3
-#define QUICK 2
 #define LOG_SIX_PI 17352
 #define MOST_VARIANCE ((int64_t)1 << 46)
 #define ONE_RADIAN ((int64_t)1 << 28)
@@ -55,7 +53,7 @@ static void measure_sides(struct tracker_search *search)
 {
     int i, j, axis, side;
 
-    for (i = 0; i < search->count; i++)
+    for (i = 0; i < search->count && i < TRACKER_SEARCH_SIDE_STARS; i++)
         for (j = 0; j < i; j++) {
             int64_t p[3], q[3], square = 0;
             tracker_to_array(&search->direction[i], p);
@@ -64,7 +62,9 @@ static void measure_sides(struct tracker_search *search)
                 square += (p[axis] - q[axis]) * (p[axis] - q[axis]);
             side = tracker_side_of(i, j);
             search->chord[side] = (uint32_t)tracker_square_root(square);
-            search->error[side] = (uint32_t)tracker_square_root(search->variance[i] + search->variance[j]);
+            search->error[side] = TRACKER_SEARCH_FIXED_ERROR;
+            if (TRACKER_SEARCH_FIXED_ERROR == 0)
+                search->error[side] = (uint32_t)tracker_square_root(search->variance[i] + search->variance[j]);
         }
 }
 
@@ -143,70 +143,29 @@ static int64_t chance_of(const struct tracker_search *search)
     return tracker_search_log_density[search->count] + others - search->best[0].evidence;
 }
 
-static int beyond(const struct tracker_search *search, int64_t margin)
+int tracker_is_beyond(const struct tracker_search *search, int64_t margin)
 {
     return search->kept > 0 && chance_of(search) < TRACKER_SEARCH_LOG_RATE - margin;
 }
 
-static void verify(struct tracker_search *search, const struct tracker_matrix *start, int gates)
+void tracker_try_attitude(struct tracker_search *search, const struct tracker_matrix *start, int gates)
 {
     tracker_verify(search, start, gates, &search->best[search->kept]);
     add_hypothesis(search);
 }
 
-/* ------------------------------------------------------------------ candidates */
-
-static void try_candidate(struct tracker_search *search, int pole, const struct tracker_candidate *candidate,
-                          const int32_t *row)
+int tracker_is_known(const struct tracker_search *search, const struct tracker_matrix *attitude, const int32_t *row)
 {
-    const int used[3] = {pole, candidate->neighbour, candidate->third};
-    int64_t seen[3][3], known[3][3], p[3], q[3], u[3], w[3], square;
-    struct tracker_matrix attitude;
+    const int64_t square = tracker_gate_of(search->variance[0], row) >> 4;
     int k;
 
-    if (!tracker_fits_prior(search, pole, candidate->guide[0], row)
-        || !tracker_fits_prior(search, candidate->neighbour, candidate->guide[1], row))
-        return;
-    tracker_to_array(&search->direction[pole], p);
-    tracker_to_array(&search->direction[candidate->neighbour], q);
-    for (k = 0; k < 3; k++) {
-        u[k] = tracker_guide_direction[candidate->guide[0]][k];
-        w[k] = tracker_guide_direction[candidate->guide[1]][k];
-    }
-    if (!tracker_pair_frame(p, q, seen) || !tracker_pair_frame(u, w, known))
-        return;
-    tracker_attitude_of((const int64_t(*)[3])seen, (const int64_t(*)[3])known, &attitude);
-    square = tracker_gate_of(search->variance[0], row) >> 4;
     for (k = 0; k < search->kept; k++)
-        if (rotation2(&attitude, &search->best[k].attitude) <= square)
-            return;
-    if (tracker_is_confirmed(search, &attitude, used, (const int64_t(*)[3])seen, row))
-        verify(search, &attitude, row[TRACKER_ROW_GATES]);
+        if (rotation2(attitude, &search->best[k].attitude) <= square)
+            return 1;
+    return 0;
 }
 
 /* ------------------------------------------------------------------ searches */
-
-static void run_row(struct tracker_search *search, const int32_t *row)
-{
-    const int64_t most = search->steps + row[TRACKER_ROW_STEPS];
-    int pole, k;
-
-    for (pole = 0; pole < row[TRACKER_ROW_POLES] && pole < search->count; pole++) {
-        if (beyond(search, SURE_BEYOND))
-            return;
-        if (search->steps > most) {
-            if (row[TRACKER_ROW_STATED])
-                search->cut_short = 1;
-            return;
-        }
-        tracker_vote_about(search, pole, row, most);
-        for (k = 0; k < search->work.votes.candidates; k++) {
-            if (search->steps > most || beyond(search, SURE_BEYOND))
-                break;
-            try_candidate(search, pole, &search->work.votes.candidate[k], row);
-        }
-    }
-}
 
 static enum tracker_reason judge(const struct tracker_search *search)
 {
@@ -240,16 +199,16 @@ static int run_searches(struct tracker_search *search, int count, struct tracker
         search->gain = search->gain > 0 ? search->gain : 0;
         radius = tracker_smaller(radius, ONE_RADIAN) * 4;
         if (radius * radius <= PRIOR_SIGMAS2 * search->variance[0])
-            verify(search, &search->prior.attitude, 0);
+            tracker_try_attitude(search, &search->prior.attitude, 0);
     }
     for (number = 0; number < TRACKER_SEARCH_ROWS; number++) {
         const int32_t *row = tracker_search_row[number];
-        if (beyond(search, SURE_BEYOND))
+        if (tracker_is_beyond(search, TRACKER_SURE_BEYOND))
             break;
-        if (number >= QUICK && beyond(search, RIVALS_BEYOND) && search->best[0].width <= AS_STATED)
+        if (number >= TRACKER_SEARCH_QUICK && tracker_is_beyond(search, RIVALS_BEYOND) && search->best[0].width <= AS_STATED)
             break;
-        run_row(search, row);
-        if (number >= QUICK && row[TRACKER_ROW_STATED] && beyond(search, 0))
+        tracker_run_row(search, row);
+        if (number >= TRACKER_SEARCH_QUICK && row[TRACKER_ROW_STATED] && tracker_is_beyond(search, 0))
             break;
     }
     found->reason = judge(search);
@@ -266,7 +225,7 @@ static int run_searches(struct tracker_search *search, int count, struct tracker
         found->best.guide[k] = -1;
     for (k = 0; k < search->count; k++)
         found->best.guide[search->index[k]] = search->best[0].guide[k];
-    return beyond(search, RIVALS_BEYOND);
+    return tracker_is_beyond(search, RIVALS_BEYOND);
 }
 
 /* Whether the rows of a matrix are unit vectors to 2^-10: of others products would overflow. */

@@ -4,7 +4,8 @@
 
 #include "tracker_types.h"
 
-#define TRACKER_SEARCH_SIDES (TRACKER_MAX_STARS * (TRACKER_MAX_STARS - 1) / 2)
+#define TRACKER_SEARCH_SIDES (TRACKER_SEARCH_SIDE_STARS * (TRACKER_SEARCH_SIDE_STARS - 1) / 2)
+#define TRACKER_SURE_BEYOND 88640 /* margin beyond which no other attitude can compete, log2, 12 fraction bits */
 #define TRACKER_SEARCH_NEVER (-((int64_t)1 << 28)) /* log2 of zero, 12 fraction bits */
 
 /* An attitude that explains stars, with its evidence. */
@@ -14,12 +15,6 @@ struct tracker_hypothesis {
     int16_t guide[TRACKER_MAX_STARS]; /* guide star of each star that is used; -1: none */
     int16_t matched;
     int16_t width;                    /* number of the width that fits best */
-};
-
-/* A pair of stars with the guide stars that they may be. */
-struct tracker_candidate {
-    uint8_t neighbour, third, agreeing;
-    uint16_t guide[2]; /* of the pole and of the neighbour */
 };
 
 struct tracker_vote {
@@ -37,9 +32,11 @@ struct tracker_votes {
     uint16_t elected[TRACKER_SEARCH_MOST_VOTES / 2];     /* guide stars whose votes are kept, ascending */
     uint16_t begin[TRACKER_SEARCH_MOST_VOTES / 2 + 1];   /* their first votes */
     uint8_t filled[TRACKER_SEARCH_MOST_VOTES / 2];
-    struct tracker_candidate candidate[TRACKER_SEARCH_MOST_CANDIDATES];
-    int candidates;
+    int need, from;    /* fewest votes of those guide stars; the first guide star that is left */
+    int64_t looked;    /* pairs of the windows */
 };
+
+#include "tracker_hypotheses.h"
 
 /* Guide stars of a field and their matches. */
 struct tracker_field {
@@ -76,7 +73,7 @@ struct tracker_search {
     int64_t gain;                                 /* log2 of what the prior adds */
     int64_t steps;
     union {
-        struct tracker_votes votes;
+        struct tracker_source source;             /* of hypotheses */
         int64_t sum[8][TRACKER_MAX_STARS];        /* of the crowding */
     } work;
     struct tracker_field field;
@@ -108,23 +105,36 @@ int64_t tracker_weigh(struct tracker_search *search, int64_t log_normal, int *wi
 void tracker_verify(struct tracker_search *search, const struct tracker_matrix *start, int gates,
                     struct tracker_hypothesis *found);
 
-/* tracker_votes.c: candidates of a pole under a row of tracker_search_row, those with most votes first; counts its steps, and
- * begins no further pass over the pairs beyond `most` of them. */
-void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row, int64_t most);
-int tracker_side_of(int i, int j); /* number of a pair of different stars */
+/* tracker_search.c, for the source of hypotheses */
+int tracker_is_beyond(const struct tracker_search *search, int64_t margin); /* the best one is accepted with a margin */
+/* Whether an attitude is one of the hypotheses within the gate of the brightest star. */
+int tracker_is_known(const struct tracker_search *search, const struct tracker_matrix *attitude, const int32_t *row);
+/* Verifies an attitude, and adds it to the hypotheses. */
+void tracker_try_attitude(struct tracker_search *search, const struct tracker_matrix *start, int gates);
 
-/* tracker_confirm.c */
-/* Axes of a pair of directions: the midpoint, the difference, and the normal to both; 0: there are none. */
-int tracker_pair_frame(const int64_t p[3], const int64_t q[3], int64_t frame[3][3]);
-/* Attitude that takes the axes of a known pair to those of a seen one. */
-void tracker_attitude_of(const int64_t seen[3][3], const int64_t known[3][3], struct tracker_matrix *attitude);
+/* tracker_candidates.c or tracker_triads.c: a row of tracker_search_row; tries attitudes, and counts its steps. */
+void tracker_run_row(struct tracker_search *search, const int32_t *row);
+
+/* tracker_votes.c */
+int tracker_side_of(int i, int j); /* number of a pair of different stars */
+int64_t tracker_tolerance(const struct tracker_search *search, int side, int32_t sides); /* of a chord */
+/* Whether two votes for a guide star agree: the third side, and the sense. */
+int tracker_votes_agree(const struct tracker_search *search, const struct tracker_votes *votes, int pole, int pole_guide,
+                        const struct tracker_vote *one, const struct tracker_vote *other, int32_t sides);
+/* Counts the votes about a pole of the stars from `first` on, and the steps of that; 0: too few vote. */
+int tracker_open_votes(struct tracker_search *search, struct tracker_votes *votes, int pole, int first, const int32_t *row);
+/* Keeps the votes for the next guide stars, and counts the steps of that; how many guide stars, 0: none is left. */
+int tracker_next_votes(struct tracker_search *search, struct tracker_votes *votes, int pole);
+
+/* tracker_pair.c */
+/* Attitude of two stars and two guide stars; axes of the stars: the midpoint of their directions, the difference, and the
+ * normal to both. 0: there is none. */
+int tracker_pair_attitude(const struct tracker_search *search, const int star[2], const uint16_t guide[2],
+                          int64_t frame[3][3], struct tracker_matrix *attitude);
 /* Square of the gate of a star with this variance, 2^-60 rad^2. */
 int64_t tracker_gate_of(int64_t variance, const int32_t *row);
 /* Whether a guide star can be where a star is, according to the prior. */
 int tracker_fits_prior(const struct tracker_search *search, int star, int guide, const int32_t *row);
-/* Whether enough of the stars other than three are near guide stars; `frame`: axes of the first two. Counts its steps. */
-int tracker_is_confirmed(struct tracker_search *search, const struct tracker_matrix *attitude, const int used[3],
-                         const int64_t frame[3][3], const int32_t *row);
 
 static inline void tracker_to_array(const struct tracker_vector *v, int64_t out[3])
 {

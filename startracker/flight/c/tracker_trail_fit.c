@@ -11,6 +11,7 @@
 #define TURN 6554
 #define AWAY (8 << 16)
 #define COVERED 2              /* part of the pixels near a line, as its inverse, that must be known */
+#define LEAST_ABOVE 2          /* rows that must be known above a trail: one whose beginning is lost has another middle */
 #define FEWEST_PIXELS 20
 #define STRENGTH 64            /* least square of the signal-to-noise ratio; of known length and direction */
 #define STRENGTH_KNOWN 36
@@ -272,6 +273,9 @@ static int make_trail(const struct walk *walk, const struct sums *sums, int32_t 
         variance = variance * limited(chi2 >> 4, 0, 1 << 24) / (16 * freedom);
     half_x = tracker_shift_right(line->length * line->cos, 16);
     half_y = tracker_shift_right(line->length * line->sin, 16);
+    if (walk->tracing->oldest > 0
+        && line->y - tracker_magnitude(half_y) < (int64_t)(walk->tracing->oldest + LEAST_ABOVE) * 65536)
+        return 0;
     if (!is_inside(line, tracker_magnitude(half_x), tracker_magnitude(half_y)))
         return 0;
     half_x = tracker_shift_right(half_x, 7);

@@ -70,7 +70,7 @@ enum tracker_reason {
     TRACKER_ABOVE_RATE,      /* the best attitude occurs by chance more often than the false-alarm rate allows */
     TRACKER_RIVAL,           /* another attitude explains the stars nearly as well */
     TRACKER_POSE_FAILED,     /* the identified stars fit no attitude */
-    TRACKER_STEPS_USED_UP,   /* the steps of the search were used up before an attitude was accepted */
+    TRACKER_STEPS_USED_UP,   /* the steps of the search, or its room, were used up before an attitude was accepted */
     TRACKER_ROWS_MISSING,    /* tracker_finish before TRACKER_HEIGHT rows */
     TRACKER_FRAME_UNIFORM,   /* the frame has no noise */
     TRACKER_SATURATED_SHARE  /* a large part of the frame is saturated */

@@ -1,5 +1,5 @@
-/* Candidates of one star by the votes of its neighbours: the same operations as startracker/flight/votes.py, which explains
- * them. The votes for a range of guide stars at a time are kept. */
+/* Votes of the neighbours of one star: the same operations as startracker/flight/votes.py, which explains them. The votes
+ * for a range of guide stars at a time are kept. */
 #include "tracker_integers.h"
 #include "tracker_search.h"
 
@@ -12,7 +12,7 @@ int tracker_side_of(int i, int j)
     return i > j ? i * (i - 1) / 2 + j : j * (j - 1) / 2 + i;
 }
 
-static int64_t tolerance(const struct tracker_search *search, int side, int32_t sides)
+int64_t tracker_tolerance(const struct tracker_search *search, int side, int32_t sides)
 {
     return (((int64_t)search->error[side] * sides) >> 8) + (((int64_t)search->chord[side] * ABERRATION) >> 20);
 }
@@ -24,18 +24,19 @@ static int64_t bin_of(int64_t chord)
     return bin < TRACKER_SEARCH_BINS - 1 ? bin : TRACKER_SEARCH_BINS - 1;
 }
 
-/* The nearest stars to the pole of those that vote, with their windows of guide pairs. */
-static void find_neighbours(const struct tracker_search *search, struct tracker_votes *votes, int pole, const int32_t *row)
+/* The nearest stars to the pole of those that vote, from number `first` on, with their windows of guide pairs. */
+static void find_neighbours(const struct tracker_search *search, struct tracker_votes *votes, int pole, int first,
+                            const int32_t *row)
 {
     int star, at;
 
     votes->neighbours = 0;
-    for (star = 0; star < row[TRACKER_ROW_AMONG] && star < search->count; star++) {
+    for (star = first; star < row[TRACKER_ROW_AMONG] && star < search->count; star++) {
         int64_t chord, allowed;
         if (star == pole)
             continue;
         chord = search->chord[tracker_side_of(star, pole)];
-        allowed = tolerance(search, tracker_side_of(star, pole), row[TRACKER_ROW_SIDES]);
+        allowed = tracker_tolerance(search, tracker_side_of(star, pole), row[TRACKER_ROW_SIDES]);
         if (chord < LEAST_ERRORS * allowed || chord - allowed > TRACKER_SEARCH_LONGEST)
             continue;
         at = votes->neighbours;
@@ -79,7 +80,7 @@ static int fits(const struct range *range, int32_t fainter)
 }
 
 /* Counts the votes for each guide star; the number of pairs looked at. */
-static int64_t count_votes(struct tracker_search *search, struct tracker_votes *votes, int pole)
+static int64_t count_votes(const struct tracker_search *search, struct tracker_votes *votes, int pole)
 {
     uint8_t *count = votes->count;
     int64_t looked = 0;
@@ -199,12 +200,11 @@ static int64_t area(const int64_t p[3], const int64_t q[3], const int64_t r[3])
 }
 
 /* Whether two votes for a guide star agree: the third side, and the sense. */
-static int agree(const struct tracker_search *search, int pole, int pole_guide, const struct tracker_vote *one,
-                 const struct tracker_vote *other, int32_t sides)
+int tracker_votes_agree(const struct tracker_search *search, const struct tracker_votes *votes, int pole, int pole_guide,
+                        const struct tracker_vote *one, const struct tracker_vote *other, int32_t sides)
 {
-    const struct tracker_votes *votes = &search->work.votes;
     const int k = votes->star[one->neighbour], l = votes->star[other->neighbour], side = tracker_side_of(k, l);
-    const int64_t chord = search->chord[side], allowed = tolerance(search, side, sides);
+    const int64_t chord = search->chord[side], allowed = tracker_tolerance(search, side, sides);
     const int64_t low = chord > allowed ? chord - allowed : 0, high = chord + allowed;
     int64_t a[3], b[3], c[3], p[3], q[3], r[3], square = 0, observed;
     int axis;
@@ -226,83 +226,26 @@ static int agree(const struct tracker_search *search, int pole, int pole_guide, 
     return (observed > 0) == (area(a, b, c) > 0);
 }
 
-static int better(const struct tracker_candidate *one, const struct tracker_candidate *other)
+int tracker_open_votes(struct tracker_search *search, struct tracker_votes *votes, int pole, int first, const int32_t *row)
 {
-    return one->agreeing > other->agreeing;
-}
-
-/* Inserts a candidate behind those with as many votes. */
-static void insert(struct tracker_votes *votes, const struct tracker_candidate *candidate)
-{
-    int at = votes->candidates;
-
-    if (at == TRACKER_SEARCH_MOST_CANDIDATES) {
-        if (!better(candidate, &votes->candidate[at - 1]))
-            return;
-        at--;
-    } else
-        votes->candidates++;
-    for (; at > 0 && better(candidate, &votes->candidate[at - 1]); at--)
-        votes->candidate[at] = votes->candidate[at - 1];
-    votes->candidate[at] = *candidate;
-}
-
-/* The best vote for an elected guide star, if enough agree; the votes compared. */
-static int64_t examine(struct tracker_search *search, int pole, int at, const int32_t *row)
-{
-    struct tracker_votes *votes = &search->work.votes;
-    const int begin = votes->begin[at], end = begin + votes->filled[at], star = votes->elected[at];
-    struct tracker_candidate best = {0, 0, 0, {0, 0}};
-    int x, y, nearest = -1;
-
-    for (x = begin; x < end; x++) {
-        const struct tracker_vote *vote = &votes->vote[x];
-        uint32_t agreeing = 0;
-        int count = 1, first = -1, k;
-        for (y = begin; y < end; y++)
-            if (votes->vote[y].neighbour != vote->neighbour && !(agreeing >> votes->vote[y].neighbour & 1)
-                && agree(search, pole, star, vote, &votes->vote[y], row[TRACKER_ROW_SIDES]))
-                agreeing |= (uint32_t)1 << votes->vote[y].neighbour;
-        for (k = votes->neighbours - 1; k >= 0; k--)
-            if (agreeing >> k & 1) {
-                count++;
-                first = k;
-            }
-        if (count < row[TRACKER_ROW_NEED] || count < best.agreeing
-            || (count == best.agreeing && vote->neighbour <= nearest))
-            continue;
-        nearest = vote->neighbour;
-        best.neighbour = votes->star[vote->neighbour];
-        best.third = votes->star[first];
-        best.agreeing = (uint8_t)count;
-        best.guide[0] = (uint16_t)star;
-        best.guide[1] = vote->guide;
-    }
-    if (best.agreeing > 0)
-        insert(votes, &best);
-    return (int64_t)(end - begin) * (end - begin - 1);
-}
-
-void tracker_vote_about(struct tracker_search *search, int pole, const int32_t *row, int64_t most)
-{
-    struct tracker_votes *votes = &search->work.votes;
-    int64_t looked;
-    int need, from = 0, elected, at;
-
-    votes->candidates = 0;
-    find_neighbours(search, votes, pole, row);
+    find_neighbours(search, votes, pole, first, row);
     if (votes->neighbours < row[TRACKER_ROW_NEED])
-        return;
-    looked = count_votes(search, votes, pole);
-    need = enough_votes(votes, row[TRACKER_ROW_NEED]);
-    search->steps += TRACKER_SEARCH_GUIDES + 2 * looked;
-    while (search->steps <= most) {
-        from = elect(votes, from, need, &elected);
-        if (elected == 0)
-            return;
-        search->steps += 2 * looked;
-        collect(search, votes, pole, need, elected);
-        for (at = 0; at < elected; at++)
-            search->steps += 4 * examine(search, pole, at, row);
-    }
+        return 0;
+    votes->looked = count_votes(search, votes, pole);
+    votes->need = enough_votes(votes, row[TRACKER_ROW_NEED]);
+    votes->from = 0;
+    search->steps += TRACKER_SEARCH_GUIDES + 2 * votes->looked;
+    return 1;
+}
+
+int tracker_next_votes(struct tracker_search *search, struct tracker_votes *votes, int pole)
+{
+    int elected;
+
+    votes->from = elect(votes, votes->from, votes->need, &elected);
+    if (elected == 0)
+        return 0;
+    search->steps += 2 * votes->looked;
+    collect(search, votes, pole, votes->need, elected);
+    return elected;
 }
