@@ -4,8 +4,8 @@ nice python -m benchmarks.flight_tracker [--camera cubesat ...] [--identifier tr
 
 For each camera and kind of field: lists that `StarTracker.solve_centroids` and the C solve, that only one of them does;
 attitudes of the C off by more than 0.1 degrees, which are wrong, and beyond 5 sigma of their covariance; true stars
-with the number of another one, and false stars with a number; and its steps. Then lists that are not a sky, all of whose
-solutions are wrong. Exit status 1 if anything is wrong.
+with the number of another one, and false stars with a number; and its steps. Then lists that are not a sky, all of
+whose solutions are wrong. Exit status 1 if anything is wrong.
 
 Beyond 5 sigma is a squared error over the covariance above 31.8, of probability 5.7e-7 for a normal distribution (chi
 squared, 3 degrees of freedom); the covariance is estimated from 2 n residuals and a prior worth 20, so that the error

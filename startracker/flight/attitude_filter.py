@@ -124,7 +124,11 @@ def correct(covariance: Matrix, innovation: Vector, noise: Matrix) -> Correction
         [wide[i][0] * gain[j][0] + wide[i][1] * gain[j][1] + wide[i][2] * gain[j][2] for j in range(6)]
         for i in range(6)
     ]
-    return Correction(distance2, white, change, _transformed(left, covariance, added))
+    after = _transformed(left, covariance, added)
+    if factorised([list(row) for row in after]) is None:
+        for i in range(3, 6):  # nothing but rounding is left of them
+            after[i][i] = after[i][i] + covariance[i][i].scaled(_ROUNDING + 6)
+    return Correction(distance2, white, change, after)
 
 
 def _transformed(a: Matrix, p: Matrix, added: Matrix) -> Matrix:

@@ -167,11 +167,11 @@ def _add_model(average: _Average, sums: _Sums, priors: FitPriors, t: int, m: int
 
 
 class _Average:
-    """Moments of the models, with weights relative to the largest one so far."""
+    """Moments of the models, with weights relative to the largest one so far: the mean, and the sum of the squares about
+    it, updated by each model (West 1979), without the difference of large numbers."""
 
     def __init__(self) -> None:
         self.highest: Real | None = None
-        self.origin = [ZERO] * 3  # rotation of the first model: the differences are small, their squares as well
         self.weight = self.factor = self.systematic = self.shear2 = ZERO
         self.mean = [ZERO] * UNKNOWNS
         self.square = [[ZERO] * 3 for _ in range(3)]
@@ -181,7 +181,6 @@ class _Average:
         share = ONE
         if self.highest is None:
             self.highest = log_weight
-            self.origin = mean[:3]
         else:
             apart = log_weight - self.highest
             if apart.integer(PRIOR_BITS) < -_NEGLIGIBLE:
@@ -191,16 +190,17 @@ class _Average:
                 self.highest = log_weight
             else:
                 share = power_of_2(apart)
-        self.weight = self.weight + share
-        mean = [*(value - origin for value, origin in zip(mean, self.origin, strict=False)), *mean[3:]]
-        for k, value in enumerate(mean):
-            self.mean[k] = self.mean[k] + share * value
+        before, self.weight = self.weight, self.weight + share
+        part = share / self.weight
+        away = [(mean[k] if k < len(mean) else ZERO) - self.mean[k] for k in range(UNKNOWNS)]
+        self.mean = [value + part * change for value, change in zip(self.mean, away, strict=True)]
+        part = before * part
         scaled = share * scale
         spread = scaled * sums.best
         for i in range(3):
             column = solved(normal, [ONE if k == i else ZERO for k in range(len(mean))])
             for j in range(3):
-                self.square[i][j] = self.square[i][j] + (spread * column[j] + share * (mean[i] * mean[j]))
+                self.square[i][j] = self.square[i][j] + (spread * column[j] + part * (away[i] * away[j]))
         self.factor = self.factor + scaled
         self.systematic = self.systematic + scaled * sums.systematic
         if len(mean) == UNKNOWNS:
@@ -211,7 +211,6 @@ class _Average:
         by = ZERO if apart.integer(PRIOR_BITS) > _NEGLIGIBLE else power_of_2(-apart)
         self.weight, self.factor = self.weight * by, self.factor * by
         self.systematic, self.shear2 = self.systematic * by, self.shear2 * by
-        self.mean = [value * by for value in self.mean]
         self.square = [[value * by for value in row] for row in self.square]
 
     def result(self) -> Fit | None:
@@ -219,12 +218,10 @@ class _Average:
         if self.highest is None:
             return None
         share = ONE / self.weight
-        mean = [value * share for value in self.mean]
-        covariance = [[self.square[i][j] * share - mean[i] * mean[j] for j in range(3)] for i in range(3)]
+        covariance = [[self.square[i][j] * share for j in range(3)] for i in range(3)]
         # a shear is also half a rotation, which residuals do not show
         covariance[2][2] = covariance[2][2] + self.shear2 * share
-        step = [*(origin + value for origin, value in zip(self.origin, mean, strict=False)), *mean[3:]]
-        return Fit(step, covariance, self.factor * share, self.systematic * share)
+        return Fit(self.mean, covariance, self.factor * share, self.systematic * share)
 
 
 def median(values: list[int]) -> int:

@@ -219,7 +219,7 @@ int tracker_propagate(int32_t quaternion[4], tracker_real covariance[6][6], cons
 /* Covariance after the update, in Joseph form. */
 static void update_covariance(tracker_real covariance[6][6], tracker_real gain[6][6], tracker_real noise[3][3])
 {
-    tracker_real left[6][6], wide[6][3], added[6][6];
+    tracker_real left[6][6], wide[6][3], added[6][6], before[6], ignored;
     int i, j, k;
 
     for (i = 0; i < 6; i++) {
@@ -238,7 +238,16 @@ static void update_covariance(tracker_real covariance[6][6], tracker_real gain[6
             for (k = 1; k < 3; k++)
                 added[i][j] = tracker_add(added[i][j], tracker_times(wide[i][k], gain[j][k]));
         }
+    for (i = 3; i < 6; i++)
+        before[i] = covariance[i][i];
     transform(left, covariance, added);
+    for (i = 0; i < 6; i++)
+        for (j = 0; j < 6; j++)
+            left[i][j] = covariance[i][j];
+    if (tracker_factorise(left, 6, &ignored))
+        return;
+    for (i = 3; i < 6; i++) /* nothing but rounding is left of them */
+        covariance[i][i] = tracker_add(covariance[i][i], scaled(before[i], ROUNDING + 6));
 }
 
 int tracker_correct(tracker_real covariance[6][6], const tracker_real innovation[3], tracker_real noise[3][3], int keep,

@@ -23,8 +23,7 @@ struct sums {
 struct average {
     int any;
     tracker_real highest, weight, factor, systematic, shear2;
-    tracker_real origin[3]; /* rotation of the first model, from which those of all are counted */
-    tracker_real mean[COUNT], square[3][3];
+    tracker_real mean[COUNT], square[3][3]; /* mean, and weighted sum of the squares about it */
 };
 
 static tracker_real twice(tracker_real x)
@@ -115,8 +114,6 @@ static void fade(struct average *to, tracker_real apart)
     to->factor = tracker_times(to->factor, by);
     to->systematic = tracker_times(to->systematic, by);
     to->shear2 = tracker_times(to->shear2, by);
-    for (i = 0; i < COUNT; i++)
-        to->mean[i] = tracker_times(to->mean[i], by);
     for (i = 0; i < 3; i++)
         for (j = 0; j < 3; j++)
             to->square[i][j] = tracker_times(to->square[i][j], by);
@@ -130,14 +127,12 @@ struct model {
 
 static void add_to_average(struct average *to, struct model *model, const struct sums *sums)
 {
-    tracker_real share = tracker_real_of(1, 0), scaled, spread, column[COUNT];
+    tracker_real share = tracker_real_of(1, 0), scaled, spread, before, part, away[COUNT], column[COUNT];
     int i, j, k;
 
     if (!to->any) {
         to->any = 1;
         to->highest = model->log_weight;
-        for (k = 0; k < 3; k++)
-            to->origin[k] = model->mean[k];
     } else {
         const tracker_real apart = tracker_subtract(model->log_weight, to->highest);
         if (tracker_integer_of(apart, PRIOR_BITS) < -NEGLIGIBLE)
@@ -149,11 +144,14 @@ static void add_to_average(struct average *to, struct model *model, const struct
             share = tracker_power_of_2(apart);
         }
     }
-    to->weight = tracker_add(to->weight, share);
-    for (k = 0; k < 3; k++)
-        model->mean[k] = tracker_subtract(model->mean[k], to->origin[k]);
-    for (k = 0; k < model->size; k++)
-        to->mean[k] = tracker_add(to->mean[k], tracker_times(share, model->mean[k]));
+    before = to->weight;
+    to->weight = tracker_add(before, share);
+    part = tracker_over(share, to->weight);
+    for (k = 0; k < COUNT; k++) {
+        away[k] = tracker_subtract(k < model->size ? model->mean[k] : tracker_zero(), to->mean[k]);
+        to->mean[k] = tracker_add(to->mean[k], tracker_times(part, away[k]));
+    }
+    part = tracker_times(before, part);
     scaled = tracker_times(share, model->scale);
     spread = tracker_times(scaled, sums->best);
     for (i = 0; i < 3; i++) {
@@ -163,7 +161,7 @@ static void add_to_average(struct average *to, struct model *model, const struct
         for (j = 0; j < 3; j++)
             to->square[i][j] = tracker_add(
                 to->square[i][j], tracker_add(tracker_times(spread, column[j]),
-                                              tracker_times(share, tracker_times(model->mean[i], model->mean[j]))));
+                                              tracker_times(part, tracker_times(away[i], away[j]))));
     }
     to->factor = tracker_add(to->factor, scaled);
     to->systematic = tracker_add(to->systematic, tracker_times(scaled, sums->systematic));
@@ -224,13 +222,10 @@ int tracker_fit_pose(const struct tracker_pose_star *star, int count, int plain,
         return 0;
     share = tracker_over(tracker_real_of(1, 0), average.weight);
     for (i = 0; i < COUNT; i++)
-        average.mean[i] = tracker_times(average.mean[i], share);
+        fit->step[i] = average.mean[i];
     for (i = 0; i < 3; i++)
         for (j = 0; j < 3; j++)
-            fit->covariance[i][j] = tracker_subtract(tracker_times(average.square[i][j], share),
-                                                     tracker_times(average.mean[i], average.mean[j]));
-    for (i = 0; i < COUNT; i++)
-        fit->step[i] = i < 3 ? tracker_add(average.origin[i], average.mean[i]) : average.mean[i];
+            fit->covariance[i][j] = tracker_times(average.square[i][j], share);
     /* a shear is also half a rotation, which residuals do not show */
     fit->covariance[2][2] = tracker_add(fit->covariance[2][2], tracker_times(average.shear2, share));
     fit->factor = tracker_times(average.factor, share);
