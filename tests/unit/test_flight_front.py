@@ -141,6 +141,16 @@ def test_rendered_frames_bit_for_bit(name, tmp_path):
     assert_same(expected, CompiledFront(tables, tmp_path).measure(image))
 
 
+def test_trails_found_before_the_frame_is_one_of_points(tmp_path):
+    """Four trails share a motion before 18 candidates, most of which are shorter than a line of 8 px."""
+    values = ["study.sampling=sky", "tracker.prior=false", "pointing.rate_deg_s=[0.7,0,0.7]"]
+    wanted = Scenario.load("scenarios/tc211.yaml", values, seed=307)
+    tables, image = front_tables(flight_design(wanted)), np.asarray(Renderer(wanted).frame(5)[0].image)
+    expected = measure_frame(image, tables)
+    assert len(expected.stars.x) > 20
+    assert_same(expected, CompiledFront(tables, tmp_path).measure(image))
+
+
 def test_memory_of_a_megapixel(design, tmp_path):
     """With the 2 KiB of a star list beside it less than the 64 KiB that the whole context may have."""
     assert CompiledFront(resized(design, 1024, 1024), tmp_path).bytes <= 62 * 1024

@@ -1,6 +1,8 @@
-/* Working memory of the default source of hypotheses: candidates. Included by tracker_search.h. */
+/* Working memory of the default source of hypotheses: candidates. */
 #ifndef TRACKER_HYPOTHESES_H
 #define TRACKER_HYPOTHESES_H
+
+#include "tracker_votes.h"
 
 /* A pair of stars with the guide stars that they may be. */
 struct tracker_candidate {

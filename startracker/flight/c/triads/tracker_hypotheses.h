@@ -1,6 +1,8 @@
-/* Working memory of the triads as the source of hypotheses. Included by tracker_search.h. */
+/* Working memory of the triads as the source of hypotheses. */
 #ifndef TRACKER_HYPOTHESES_H
 #define TRACKER_HYPOTHESES_H
+
+#include "tracker_votes.h"
 
 /* Three stars and the guide stars that they may be. */
 struct tracker_triad {

@@ -69,9 +69,12 @@ static void elect_winners(struct tracker_search *search, int group, int stars, i
     struct tracker_source *source = &search->work.source;
     int most, names = 0, star, t, k, n;
 
-    for (t = 0; t < source->triads; t++)
-        for (k = 0; k < 3 && source->triad[t].group == group; k++)
+    for (t = 0; t < source->triads; t++) {
+        if (source->triad[t].group != group)
+            continue;
+        for (k = 0; k < 3; k++)
             names = count_name(source->part.name, names, source->triad[t].star[k], source->triad[t].guide[k]);
+    }
     for (star = 0; star < stars; star++) {
         source->winner[star] = -1;
         most = needed - 1;
@@ -95,10 +98,13 @@ static int drop_disagreeing(struct tracker_search *search, int stars, int32_t si
     for (i = 0; i < stars; i++) {
         left += winner[i] >= 0;
         source->wrong[i][i] = 0;
-        for (j = 0; j < i; j++)
-            source->wrong[i][j] = source->wrong[j][i] =
-                (uint8_t)(winner[i] >= 0 && winner[j] >= 0
-                          && !tracker_as_long(search, tracker_side_of(i, j), winner[i], winner[j], sides));
+        for (j = 0; j < i; j++) {
+            source->wrong[i][j] = 0;
+            if (winner[i] >= 0 && winner[j] >= 0
+                && !tracker_as_long(search, tracker_side_of(i, j), winner[i], winner[j], sides))
+                source->wrong[i][j] = 1;
+            source->wrong[j][i] = source->wrong[i][j];
+        }
     }
     for (;;) {
         worst = most = 0;
@@ -152,13 +158,16 @@ void tracker_try_groups(struct tracker_search *search, int stars, const int32_t 
         source->triad[t].group = (uint8_t)group_of(source, source->triad[t].rotation); /* 255: none */
     if (TRACKER_TRIAD_LONE && stars == 3 && source->groups == 1)
         needed = 1;
-    for (group = largest_group(source); group >= 0; group = largest_group(source)) {
+    while (checked < TRACKER_TRIAD_CHECKED) {
+        group = largest_group(source);
+        if (group < 0)
+            return;
         elect_winners(search, group, stars, needed);
         if (drop_disagreeing(search, stars, row[TRACKER_ROW_SIDES]) < 3)
             continue;
         try_winners(search, stars, row);
         checked++;
-        if (checked == TRACKER_TRIAD_CHECKED || tracker_is_beyond(search, TRACKER_SURE_BEYOND))
+        if (tracker_is_beyond(search, TRACKER_SURE_BEYOND))
             return;
     }
 }

@@ -69,7 +69,9 @@ static int angles_agree(int64_t seen[3][3], int64_t known[3][3])
 {
     int k;
 
-    for (k = 0; k < 3 && TRACKER_TRIAD_ENCLOSED >= 0; k++) {
+    if (TRACKER_TRIAD_ENCLOSED < 0)
+        return 1;
+    for (k = 0; k < 3; k++) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
         const int64_t apart = (int64_t)tracker_inner_angle(seen[k], seen[i], seen[j])
                               - tracker_inner_angle(known[k], known[i], known[j]);
@@ -168,8 +170,9 @@ void tracker_run_row(struct tracker_search *search, const int32_t *row)
     if (!is_tried(search, row))
         return;
     source->triads = source->full = 0;
-    for (pole = 0; pole < stars - 2 && search->steps <= most && !source->full; pole++)
-        find_about(search, pole, row, most);
+    for (pole = 0; pole < stars - 2; pole++)
+        if (search->steps <= most && !source->full)
+            find_about(search, pole, row, most);
     if (search->steps > most || source->full)
         search->cut_short = 1;
     tracker_try_groups(search, stars, row);
