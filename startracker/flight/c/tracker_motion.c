@@ -79,6 +79,7 @@ static int32_t middle_along(const struct tracker_front *front, int axis)
     const struct tracker_front_trail *first = &front->trail[0], *trail;
     int n, k;
 
+    values[0] = 0;
     for (n = 0; n < front->trails; n++) {
         trail = &front->trail[n];
         value = axis == 0 ? trail->along_x : trail->along_y;

@@ -182,6 +182,7 @@ int tracker_front_look_trailed(const struct tracker_front *front)
     struct tracker_front_fit fit;
     int n;
 
+    major[0] = 0;
     for (n = 0; n < TRACKER_FRONT_TRAIL_POINTS; n++) {
         measure_shape(&front->pool.candidate[n], &fit);
         moments[0] = fit.xx;
