@@ -19,6 +19,7 @@ from simulator.study.exported_c.build import command, compile_export
 from simulator.study.exported_c.fuzz import build_fuzzers, missing_fuzzer
 from simulator.study.exported_c.instructions import count_instructions, marked
 from simulator.study.exported_c.targets import CLANG, CORTEX_M4, EMULATED, HOST, M68K
+from simulator.study.exported_c.work import WorkProgram, instruction_weights, missing_counter
 from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import FlightProgram, frame_bytes, list_text, parse_answer, velocity_of
 from startracker.flight.design import IDENTIFIERS
@@ -283,6 +284,24 @@ def test_sanitizers_find_nothing(arithmetic, identifier, frames, tmp_path):
 
 
 needs_fuzzer = pytest.mark.skipif(missing_fuzzer() is not None, reason=str(missing_fuzzer()))
+
+
+@pytest.mark.slow
+@needs_m4
+@pytest.mark.skipif(missing_counter() is not None, reason=str(missing_counter()))
+def test_native_work_estimates_emulated_instructions(design, tmp_path):
+    """Weights from eight lists estimate the instructions of eight others within 15 %, and the answers are the same."""
+    (tmp_path / "work").mkdir()
+    program = FlightProgram(design, tmp_path, CORTEX_M4)
+    counter = WorkProgram(program.export, tmp_path / "work")
+    texts = [list_text(stars, VELOCITY).encode() for stars in lists_of(design, 16)[:16]]
+    lines, work = counter.run(b"".join(texts), "stars")
+    assert "\n".join(lines).encode() + b"\n" == program.build.run(b"".join(texts), "stars")
+    counted = [count_instructions(program.build, text, "stars") for text in texts]
+    weights, correlation = instruction_weights(counter.modules, work[::2], counted[::2])
+    assert correlation > 0.99
+    total = np.array([one.total for one in counted[1::2]], float)
+    assert np.abs(work[1::2] @ weights - total).max() < 0.15 * total.max()
 
 
 @pytest.mark.slow
