@@ -167,8 +167,8 @@ def _add_model(average: _Average, sums: _Sums, priors: FitPriors, t: int, m: int
 
 
 class _Average:
-    """Moments of the models, with weights relative to the largest one so far: the mean, and the sum of the squares about
-    it, updated by each model (West 1979), without the difference of large numbers."""
+    """Moments of the models, with weights relative to the largest one so far: the mean and the sum of the squares about
+    it, updated by each model without a difference of large numbers (West 1979)."""
 
     def __init__(self) -> None:
         self.highest: Real | None = None

@@ -75,7 +75,7 @@ static void fit_motion(const struct tracker_front *front, struct tracker_front_m
 /* The middle one of the trails' lengths along an axis, in the sense of the brightest. */
 static int32_t middle_along(const struct tracker_front *front, int axis)
 {
-    int32_t values[TRACKER_MAX_STARS], value;
+    int32_t values[TRACKER_MAX_STARS] = {0}, value;
     const struct tracker_front_trail *first = &front->trail[0], *trail;
     int n, k;
 
