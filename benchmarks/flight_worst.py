@@ -84,8 +84,8 @@ def _noise(rng: np.random.Generator, size: tuple[int, int]) -> FloatArray:
 
 def _bright_pixels(rng: np.random.Generator, size: tuple[int, int]) -> FloatArray:
     """Single pixels of random values: 1 to 60 % of all."""
-    hit = rng.random(size) < rng.uniform(0.01, 0.6)
-    return np.asarray(LEVEL + 4.0 * rng.standard_normal(size) + hit * rng.uniform(100.0, 4000.0, size))
+    bright = rng.random(size) < rng.uniform(0.01, 0.6)
+    return np.asarray(LEVEL + 4.0 * rng.standard_normal(size) + bright * rng.uniform(100.0, 4000.0, size))
 
 
 def _images(rng: np.random.Generator, size: tuple[int, int], brightest: float) -> FloatArray:
@@ -183,7 +183,7 @@ class Record:
     ----------
     folder : Path
     digest : str
-        Of the export; another one begins anew.
+        Of the export; another one begins from nothing.
     """
 
     def __init__(self, folder: Path, digest: str) -> None:
