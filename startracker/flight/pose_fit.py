@@ -167,8 +167,11 @@ def _add_model(average: _Average, sums: _Sums, priors: FitPriors, t: int, m: int
 
 
 class _Average:
-    """Moments of the models, with weights relative to the largest one so far: the mean and the sum of the squares about
-    it, updated by each model without a difference of large numbers (West 1979)."""
+    """Moments of the models, with weights relative to the largest one so far.
+
+    The mean and the sum of the squares about it are updated by each model (West 1979, Communications of the ACM 22,
+    532), so that there is no difference of large numbers.
+    """
 
     def __init__(self) -> None:
         self.highest: Real | None = None
