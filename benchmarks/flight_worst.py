@@ -183,7 +183,7 @@ class Record:
     ----------
     folder : Path
     digest : str
-        Of the export; another one begins again from none.
+        Of the export; another one begins from nothing.
     """
 
     def __init__(self, folder: Path, digest: str) -> None:

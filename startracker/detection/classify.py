@@ -115,8 +115,8 @@ class _Examined:
         asked = np.flatnonzero(self.may_be_sharp[which])
         if len(asked):
             sharp, shapes = sharp_shapes(self.pixels, which[asked], self.sharpness, self.searched)
-            hit = np.where(shapes[:, PEAK_SHARE] > ONE_PIXEL_SHARE, _ONE_PIXEL, _COSMIC_RAY)
-            kind[asked] = np.where(sharp, hit, STAR)
+            defect = np.where(shapes[:, PEAK_SHARE] > ONE_PIXEL_SHARE, _ONE_PIXEL, _COSMIC_RAY)
+            kind[asked] = np.where(sharp, defect, STAR)
         kind[(kind == STAR) & self.long[which]] = _LONG
         asked = np.flatnonzero((kind == STAR) & ~self.saturated[which])
         if self.criteria.isolation > 0.0 and len(asked):

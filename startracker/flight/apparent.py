@@ -64,7 +64,7 @@ def flight_observer(velocity: ArrayLike | None, epoch: int | None, tables_epoch:
 
 
 def guide_motion(guide: GuideDatabase) -> Integers:
-    """Motion (G, 3) of guide stars a year about their epoch, unit vectors of 29 fraction bits.
+    """Motion (G, 3) of guide stars per year about their epoch, unit vectors of 29 fraction bits.
 
     Raises
     ------

@@ -152,7 +152,7 @@ def test_most_kernels_that_a_task_expects_are_there(task):
         source = file.read_text() if file.exists() else ""
         if not re.search(rf"^@kernel.*\ndef {function}\(", source, re.MULTILINE):
             missing.append(name)
-    assert len(expected) > 50
+    assert len(expected) > 30  # the list is read; a photograph has 43
     assert len(missing) < 0.2 * len(expected), f"{missing}: python -m benchmarks.cold_start --write lists them anew"
 
 

@@ -75,11 +75,10 @@ static void fit_motion(const struct tracker_front *front, struct tracker_front_m
 /* The middle one of the trails' lengths along an axis, in the sense of the brightest. */
 static int32_t middle_along(const struct tracker_front *front, int axis)
 {
-    int32_t values[TRACKER_MAX_STARS], value;
+    int32_t values[TRACKER_MAX_STARS] = {0}, value;
     const struct tracker_front_trail *first = &front->trail[0], *trail;
     int n, k;
 
-    values[0] = 0;
     for (n = 0; n < front->trails; n++) {
         trail = &front->trail[n];
         value = axis == 0 ? trail->along_x : trail->along_y;

@@ -178,11 +178,10 @@ static void insert_sorted(int32_t *values, int count, int32_t value)
 
 int tracker_front_look_trailed(const struct tracker_front *front)
 {
-    int32_t major[TRACKER_FRONT_TRAIL_POINTS], moments[3], axes[2];
+    int32_t major[TRACKER_FRONT_TRAIL_POINTS] = {0}, moments[3], axes[2];
     struct tracker_front_fit fit;
     int n;
 
-    major[0] = 0;
     for (n = 0; n < TRACKER_FRONT_TRAIL_POINTS; n++) {
         measure_shape(&front->pool.candidate[n], &fit);
         moments[0] = fit.xx;

@@ -316,15 +316,18 @@ static void keep_row(struct tracker_front *front, int32_t r)
     tracing->words[r % ROWS] = (uint16_t)words;
     tracing->used += words;
     tracing->rows++;
-    for (x = 0; x < TRACKER_WIDTH && words > 0; x++) {
+    if (words == 0)
+        return;
+    for (x = 0; x < TRACKER_WIDTH; x++) {
         if (!(near[x >> 3] & BIT(x)))
             continue;
-        for (end = x; end < TRACKER_WIDTH && (near[end >> 3] & BIT(end)); end++)
-            ;
-        put(tracing, x);
-        put(tracing, end - x);
-        for (; x < end; x++)
-            put(tracing, value_of(&front->work.rows, x, r));
+        if (x == 0 || !(near[(x - 1) >> 3] & BIT(x - 1))) {
+            for (end = x + 1; end < TRACKER_WIDTH && (near[end >> 3] & BIT(end)); end++)
+                ;
+            put(tracing, x);
+            put(tracing, end - x);
+        }
+        put(tracing, value_of(&front->work.rows, x, r));
     }
 }
 
