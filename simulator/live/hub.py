@@ -71,6 +71,11 @@ class Subscriber:
             self._newest = published
             self._filled.set()
 
+    def discard_frame(self) -> None:
+        """Remove a frame that is still in the outbox; it counts as missed."""
+        self._missed += self._newest is not None
+        self._newest = None
+
     def put_state(self, state: StateMessage) -> None:
         """Put a state into the outbox."""
         if self.wants is not None and "state" in self.wants.channels:
@@ -144,6 +149,11 @@ class Hub:
         """Give a frame to all who want it."""
         for subscriber in self.subscribers:
             subscriber.publish(published)
+
+    def discard_frames(self) -> None:
+        """Remove the frames that clients have not received yet."""
+        for subscriber in self.subscribers:
+            subscriber.discard_frame()
 
     def put_state(self, state: StateMessage) -> None:
         """Give a state to all who want it."""

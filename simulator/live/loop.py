@@ -339,6 +339,7 @@ class MissionLoop:
                 await self._in_worker(self._change_source, external)
             finally:
                 self._changing = False
+            self.hub.discard_frames()  # sent after replies, and at the times of the new source
         self.lockstep, self._newest, self._due_s = lockstep, None, time.perf_counter()
 
     def _change_source(self, external: bool) -> None:

@@ -1,5 +1,6 @@
 """Other simulators: attitudes in lockstep over the wire give the answers of the mission in process; the C client."""
 
+import asyncio
 import re
 import runpy
 import shutil
@@ -13,9 +14,11 @@ import pytest
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 
+from simulator.live.hub import Subscriber
 from simulator.live.loop import MissionLoop
 from simulator.live.mission import LiveMission
 from simulator.live.motion import Given
+from simulator.live.protocol import Subscribe
 from simulator.live.server import ServerOptions, serving
 from simulator.scenario import Scenario
 from startracker import Attitude
@@ -81,6 +84,22 @@ def test_no_frame_of_the_scenario_follows_a_change_of_the_source(monkeypatch):
             camera.socket.close()
     found = Attitude(np.array(solution["quaternion"]))
     assert np.degrees(found.angle_to(Attitude(np.array(quaternion)))) < 0.01
+
+
+def test_no_frame_of_the_former_source_is_sent_after_the_reply():
+    """Replies are sent before frames; one of the scenario that a client has not received would follow the reply, with
+    the time of the client's own first frame."""
+
+    async def outbox():
+        loop, subscriber = MissionLoop(LiveMission(SCENARIO), Path()), Subscriber()
+        subscriber.wants = Subscribe(type="subscribe", channels=("solution",))
+        loop.hub.subscribers.add(subscriber)
+        await loop._make(await loop._next_turn())
+        await loop.use_source(external=True, lockstep=True)
+        await loop.close()
+        return subscriber.rest()
+
+    assert asyncio.run(outbox()) == []
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
