@@ -39,7 +39,8 @@ def background_lines(image: NDArray[np.uint16], tables: FrontTables) -> Lines:
     Each tile of 4 rows gives a clipped mean and standard deviation, which pass a median of three along x; along y the
     level follows them with a slope (an alpha-beta filter of 1/4 and 1/32), the noise exponentially. A level off by more
     than half of the noise is taken as it is, and changes the slope by a quarter of the difference (a gradient that
-    begins); by more than four times the noise it is a step, after which the slope begins at zero.
+    begins); by more than four times the noise it is a step, after which the slope begins at zero. The level does not
+    follow tiles of more than 1.5 times the noise of those above: clipping leaves the faint light of stars and trails.
     """
     height = len(image)
     tiles = len(tables.edge) - 1
@@ -107,10 +108,12 @@ def _follow(
     """Level, slope and noise after another block, 12 fraction bits; `gain` in bits to the right."""
     x, v, n = state
     ahead = level - x - v
-    lost, step = np.abs(ahead) > n >> 1, np.abs(ahead) > 4 * n
-    x = np.where(lost, level, np.clip(x + v + (ahead >> gain), 0, _LARGEST_LEVEL << 12))
-    v = np.where(step, 0, v + (ahead >> np.where(lost, 2, 5)))
-    changed = (noise > 2 * n) | (2 * noise < n)
+    even, step = 2 * noise <= 3 * n, np.abs(ahead) > 4 * n
+    lost = even & (np.abs(ahead) > n >> 1)
+    followed = np.where(even, ahead, 0)
+    x = np.where(lost | step, level, np.clip(x + v + (followed >> gain), 0, _LARGEST_LEVEL << 12))
+    v = np.where(step, 0, v + (followed >> np.where(lost, 2, 5)))
+    changed = (noise > 4 * n) | (2 * noise < n)
     return x, v, np.where(changed, noise, n + ((noise - n) >> gain))
 
 

@@ -123,18 +123,20 @@ static int32_t limited(int64_t value, int32_t most)
 static void follow_tile(struct tracker_front_block *block, int tile, int32_t level, int32_t noise, int gain)
 {
     int32_t ahead = level - block->level[tile] - block->slope[tile], before = block->noise[tile];
-    int lost = tracker_magnitude(ahead) > before >> 1;
+    int32_t followed = 2 * (int64_t)noise <= 3 * (int64_t)before ? ahead : 0; /* not the light of stars and trails */
+    int lost = tracker_magnitude(followed) > before >> 1;
+    int step = gain == 0 || tracker_magnitude(ahead) > 4 * (int64_t)before;
 
-    if (gain == 0 || lost)
+    if (lost || step)
         block->level[tile] = level;
     else
-        block->level[tile] = limited((int64_t)block->level[tile] + block->slope[tile] + tracker_shift_right(ahead, gain),
+        block->level[tile] = limited((int64_t)block->level[tile] + block->slope[tile] + tracker_shift_right(followed, gain),
                                      LARGEST_LEVEL << 12);
-    if (gain == 0 || tracker_magnitude(ahead) > 4 * before)
+    if (step)
         block->slope[tile] = 0;
     else
-        block->slope[tile] += (int32_t)tracker_shift_right(ahead, lost ? 2 : 5);
-    if (gain == 0 || noise > 2 * before || 2 * noise < before)
+        block->slope[tile] += (int32_t)tracker_shift_right(followed, lost ? 2 : 5);
+    if (gain == 0 || noise > 4 * (int64_t)before || 2 * (int64_t)noise < before)
         block->noise[tile] = noise;
     else
         block->noise[tile] += (int32_t)tracker_shift_right(noise - block->noise[tile], gain);
