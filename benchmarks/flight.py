@@ -280,7 +280,7 @@ def main(arguments: list[str] | None = None) -> int:
         elif name in FRAMES:
             frames += compare_frames(name, options.arithmetic, options.frames, options.keep)
             print(*frames[-len(options.arithmetic) :], sep="\n", file=sys.stderr)
-        else:
+        elif options.lists:
             lists += compare_lists(name, options.arithmetic, options.lists)
             print(*lists[-len(options.arithmetic) :], sep="\n", file=sys.stderr)
     tables: list[Table] = [("Frames", COLUMNS, frames), ("Lists of stars", COLUMNS, lists)]

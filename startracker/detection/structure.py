@@ -42,20 +42,21 @@ def has_structure(image: Image, background: Background) -> bool:
     return bool(0.0 < spread * _NOISE_TIMES < 1.0)
 
 
+@kernel
 def _spread(image: Image, noise: Plane) -> float:
     """Robust standard deviation of the differences of a thousand pixels, in units of the background's noise."""
     height, width = image.shape
-    y = np.arange(_LAG_PX, height - _LAG_PX, max(1, height // _ROWS))
-    x = np.arange(_LAG_PX, width - _LAG_PX, max(1, width // _COLUMNS))
-    at, largest = image[np.ix_(y, x)].astype(np.float64), 0.0
-    sigma = noise[np.ix_(y, x)]
+    down, right, largest = max(1, height // _ROWS), max(1, width // _COLUMNS), 0.0
+    values = np.empty((height // down + 1) * (width // right + 1), np.float32)
     for dy, dx in ((0, _LAG_PX), (_LAG_PX, 0)):
-        beside = image[np.ix_(y - dy, x - dx)].astype(np.float64) + image[np.ix_(y + dy, x + dx)]
-        with np.errstate(all="ignore"):  # pixels without a value
-            values = (np.abs(at - 0.5 * beside) / sigma).astype(np.float32)
-        values = values[np.isfinite(values)]
-        if len(values):
-            largest = max(largest, float(np.partition(values, len(values) // 2)[len(values) // 2]))
+        count = 0
+        for y in range(_LAG_PX, height - _LAG_PX, down):
+            for x in range(_LAG_PX, width - _LAG_PX, right):
+                beside = np.float64(image[y - dy, x - dx]) + np.float64(image[y + dy, x + dx])
+                values[count] = abs(np.float64(image[y, x]) - 0.5 * beside) / noise[y, x]
+                count += int(is_value(values[count]))
+        if count:
+            largest = max(largest, select_kth(values, 0, count, count // 2))
     return largest / (_MEDIAN_ABSOLUTE * math.sqrt(1.5))
 
 
