@@ -114,7 +114,7 @@ def test_an_interrupt_keeps_the_finished_trials_and_resume_finishes_them(
     tmp_path, undisturbed, runner, monkeypatch, workers
 ):
     """Ctrl-C in a terminal goes to all processes of the command."""
-    process = start(tmp_path, workers, "command", sleep_s=0.005)
+    process = start(tmp_path, workers, "command", sleep_s=0.02)  # 12 s: a loaded machine interrupts late
     wait_for_parts(tmp_path, process, 2)
     finished = [part.stem.split("-")[:2] for part in (tmp_path / parts.PARTS_FOLDER).glob("*.parquet")]
     os.killpg(process.pid, signal.SIGINT)
