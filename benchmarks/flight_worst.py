@@ -148,7 +148,7 @@ class Camera(NamedTuple):
             field = field_list(self.tracker, FIELDS[kind], rng)
             stars, matrix = field.stars, field.matrix
         else:
-            stars, matrix = null_list(self.tracker, kind, rng), np.eye(3)  # type: ignore[arg-type]
+            stars, matrix = null_list(self.tracker, PATTERNS[PATTERNS.index(kind)], rng), np.eye(3)
         if index % 3:
             return list_text(stars).encode()
         if index % 2 == 0:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.flight_lists import FIELDS, field_list, null_list
+from benchmarks.flight_lists import FIELDS, null_list
 from simulator.randomness import stream
 from startracker import Camera, StarTracker
 from startracker.distortion import Distortion
@@ -16,8 +16,7 @@ from startracker.estimation.directions import focal_slopes, normal_equations
 from startracker.flight import search_tables as tabled
 from startracker.flight.apparent import FlightObserver, epoch_of
 from startracker.flight.design import DetectorNumbers, FlightDesign
-from startracker.flight.directions import plane_of, vectors_of
-from startracker.flight.evidence import LOG_UP, log_down, log_sum, log_sum_up, sight, weigh
+from startracker.flight.evidence import LOG_UP, log_down, log_sum, log_sum_up, weigh
 from startracker.flight.evidence import Match as IntegerMatch
 from startracker.flight.hypotheses import FlightPrior, Reason, pair_frame
 from startracker.flight.search_plan import SEARCHES
@@ -34,6 +33,7 @@ from startracker.observer import Observer
 from startracker.settings import DetectionSettings, TriadSettings
 from startracker.solution import Status
 from startracker.survey import SATURATED_SHARE
+from tests.helpers.flight_lists import random_fields, seen_by
 
 ONE = 1 << 30
 REST = FlightObserver(np.zeros(3, np.int64))
@@ -56,14 +56,8 @@ def tables(tracker):
     return tracker.search_tables
 
 
-def seen_by(tracker, stars):
-    plane, inside = plane_of(np.column_stack([stars.x, stars.y]), tracker.grid)
-    return sight(stars, vectors_of(plane, tracker.grid), inside, tracker.search_tables)
-
-
 def fields(star_tracker, kind, count, seed=1):
-    rng = stream(seed, f"flight search {kind}")
-    return [field_list(star_tracker, FIELDS[kind], rng) for _ in range(count)]
+    return random_fields(star_tracker, "search", kind, count, seed)
 
 
 def integers(matrix):

@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.flight_lists import FIELDS, field_list, null_list
+from benchmarks.flight_lists import FIELDS, null_list
 from simulator.randomness import stream
 from startracker import Camera, StarTracker
 from startracker.fixed_point.wide import WideArithmetic
 from startracker.flight.apparent import FlightObserver
 from startracker.flight.design import DetectorNumbers, FlightDesign
-from startracker.flight.directions import plane_of, vectors_of
-from startracker.flight.evidence import sight
 from startracker.flight.hypotheses import Pool
 from startracker.flight.search_tables import TRIAD_BRIGHT, TRIAD_SHARE
 from startracker.flight.solver import FlightTracker
@@ -25,6 +23,7 @@ from startracker.identification.triad_search import TriadLimits, find_triads, im
 from startracker.identification.triad_tables import TriadTables
 from startracker.settings import TriadSettings
 from startracker.solution import Status
+from tests.helpers.flight_lists import random_fields, seen_by
 
 ONE = 1 << 30
 REST = FlightObserver(np.zeros(3, np.int64))
@@ -48,14 +47,8 @@ def tracker(design):
     return FlightTracker.build(design)
 
 
-def seen_by(tracker, stars):
-    plane, inside = plane_of(np.column_stack([stars.x, stars.y]), tracker.grid)
-    return sight(stars, vectors_of(plane, tracker.grid), inside, tracker.search_tables)
-
-
 def fields(star_tracker, kind, count, seed=1):
-    rng = stream(seed, f"flight triads {kind}")
-    return [field_list(star_tracker, FIELDS[kind], rng) for _ in range(count)]
+    return random_fields(star_tracker, "triads", kind, count, seed)
 
 
 class Found(TriadWork):
