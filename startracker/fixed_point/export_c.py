@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from startracker.errors import InputError
-from startracker.fixed_point.arithmetic import FULL_TURN, SCALE, FixedArithmetic, FixedSky
+from startracker.fixed_point.arithmetic import SCALE, FixedArithmetic, FixedSky
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
 from startracker.fixed_point.cordic import STEPS_DEG
@@ -163,7 +163,6 @@ def _constants(
         "MAX_TRIADS": sizes.max_triads,
         "MAX_GROUPS": sizes.max_groups,
         "ROTATIONS": len(STEPS_DEG),
-        "FULL_TURN": FULL_TURN,
         "CROSSOVER": CROSSOVER,
         "ARCCOSINE_DISCARDED": arccosine_table()[1],
         "SEPARATION_TOLERANCE": sizes.tolerance,

@@ -52,3 +52,14 @@ int32_t tracker_inner_angle(const int64_t vertex[3], const int64_t first[3], con
     cosine = tracker_dot(u, w) - tracker_shift_right(tracker_dot(u, vertex) * tracker_dot(w, vertex), 30);
     return (int32_t)tracker_shift_right(tracker_fine_angle(tracker_magnitude(sine), cosine), 34);
 }
+
+int32_t tracker_modulo_turn(int32_t angle)
+{
+    angle %= TRACKER_FULL_TURN;
+    return angle < 0 ? angle + TRACKER_FULL_TURN : angle;
+}
+
+int32_t tracker_turn_between(int32_t first, int32_t second)
+{
+    return tracker_modulo_turn(first - second + TRACKER_FULL_TURN / 2) - TRACKER_FULL_TURN / 2;
+}

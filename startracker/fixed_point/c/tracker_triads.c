@@ -2,20 +2,8 @@
  * triad_votes.py. */
 #include "tracker_internal.h"
 
-#define HALF_TURN (TRACKER_FULL_TURN / 2)
 #define NONE UINT16_MAX
 #define COMBINED 10000
-
-static int32_t modulo(int32_t angle)
-{
-    angle %= TRACKER_FULL_TURN;
-    return angle < 0 ? angle + TRACKER_FULL_TURN : angle;
-}
-
-static int32_t between(int32_t first, int32_t second)
-{
-    return modulo(first - second + HALF_TURN) - HALF_TURN;
-}
 
 static int32_t absolute(int32_t value)
 {
@@ -83,15 +71,20 @@ static int32_t catalog_direction(int a, int b)
     return tracker_direction((int64_t)tracker_star_dec[b] - tracker_star_dec[a], half - east);
 }
 
+/* Whether the angle between two directions of the image is one of the catalogue. */
+static int enclosed(int32_t first, int32_t second, int32_t known)
+{
+    return absolute(tracker_turn_between(absolute(tracker_turn_between(first, second)), known)) <= TRACKER_ENCLOSED_TOLERANCE;
+}
+
 static int enclosed_agree(const struct tracker_context *context, int p, int q, int r, int a, int b, int c)
 {
     const int32_t pq = context->image_direction[p][q], pr = context->image_direction[p][r], qr = context->image_direction[q][r];
 
     if (TRACKER_ENCLOSED_TOLERANCE < 0)
         return 1;
-    return absolute(between(absolute(between(pq, pr)), tracker_catalog_angle(a, b, c))) <= TRACKER_ENCLOSED_TOLERANCE
-           && absolute(between(absolute(between(pq + HALF_TURN, qr)), tracker_catalog_angle(b, a, c))) <= TRACKER_ENCLOSED_TOLERANCE
-           && absolute(between(absolute(between(pr, qr)), tracker_catalog_angle(c, a, b))) <= TRACKER_ENCLOSED_TOLERANCE;
+    return enclosed(pq, pr, tracker_catalog_angle(a, b, c)) && enclosed(pq + TRACKER_FULL_TURN / 2, qr, tracker_catalog_angle(b, a, c))
+           && enclosed(pr, qr, tracker_catalog_angle(c, a, b));
 }
 
 static int after(const struct tracker_triad *triad, int a, int b, int c)
@@ -105,11 +98,11 @@ static int after(const struct tracker_triad *triad, int a, int b, int c)
  * Returns 1, or 0 if there is no room. */
 static int test_triad(struct tracker_context *context, int first, int p, int q, int r, int a, int b, int c)
 {
-    const int32_t one = modulo(catalog_direction(a, b) - context->image_direction[p][q]);
-    const int32_t two = modulo(catalog_direction(a, c) - context->image_direction[p][r]);
+    const int32_t one = tracker_modulo_turn(catalog_direction(a, b) - context->image_direction[p][q]);
+    const int32_t two = tracker_modulo_turn(catalog_direction(a, c) - context->image_direction[p][r]);
     struct tracker_triad *triad;
 
-    if (absolute(between(one, two)) > TRACKER_ROTATION_TOLERANCE || !enclosed_agree(context, p, q, r, a, b, c))
+    if (absolute(tracker_turn_between(one, two)) > TRACKER_ROTATION_TOLERANCE || !enclosed_agree(context, p, q, r, a, b, c))
         return 1;
     if (context->triad_count == TRACKER_MAX_TRIADS)
         return 0;
@@ -121,7 +114,7 @@ static int test_triad(struct tracker_context *context, int first, int p, int q, 
     triad->catalog[0] = (uint16_t)a;
     triad->catalog[1] = (uint16_t)b;
     triad->catalog[2] = (uint16_t)c;
-    triad->mean = (int16_t)modulo(one + (int32_t)tracker_shift_right(between(two, one), 1));
+    triad->mean = (int16_t)tracker_modulo_turn(one + (int32_t)tracker_shift_right(tracker_turn_between(two, one), 1));
     context->triad_count++;
     return 1;
 }

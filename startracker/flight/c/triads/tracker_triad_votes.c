@@ -1,8 +1,8 @@
 /* Groups of triads and their votes: the same operations as startracker/flight/triads.py, which explains them. */
+#include "tracker_cordic.h"
 #include "tracker_integers.h"
 #include "tracker_search.h"
 
-#define FULL_TURN ((int64_t)360 * 64)
 
 /* Group of a rotation: the first whose running mean is near, or a new one; -1: there is no room for it. */
 static int group_of(struct tracker_source *source, int32_t rotation)
@@ -14,10 +14,10 @@ static int group_of(struct tracker_source *source, int32_t rotation)
         const struct tracker_group *known = &source->group[g];
         step = rotation - known->origin;
         off = step * known->count - known->total; /* on the side of the circle where the mean is */
-        if (2 * off >= FULL_TURN * known->count)
-            step -= FULL_TURN;
-        else if (2 * off < -FULL_TURN * known->count)
-            step += FULL_TURN;
+        if (2 * off >= (int64_t)TRACKER_FULL_TURN * known->count)
+            step -= TRACKER_FULL_TURN;
+        else if (2 * off < -(int64_t)TRACKER_FULL_TURN * known->count)
+            step += TRACKER_FULL_TURN;
         if (tracker_magnitude(step * known->count - known->total) <= (int64_t)TRACKER_TRIAD_GROUPING * known->count)
             break;
     }

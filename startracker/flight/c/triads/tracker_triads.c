@@ -3,23 +3,10 @@
 #include "tracker_integers.h"
 #include "tracker_search.h"
 
-#define HALF_TURN (180 * 64)
-#define FULL_TURN (360 * 64)
 #define ANGLE_SHIFT 34
 #define SIDES_BITS 10
 #define VOTE_STEPS 3
 #define TRIAD_STEPS 300
-
-static int32_t modulo(int32_t angle)
-{
-    angle %= FULL_TURN;
-    return angle < 0 ? angle + FULL_TURN : angle;
-}
-
-static int32_t between(int32_t first, int32_t second)
-{
-    return modulo(first - second + HALF_TURN) - HALF_TURN;
-}
 
 static void guide_vector(int guide, int64_t out[3])
 {
@@ -93,16 +80,16 @@ static void try_triad(struct tracker_search *search, const struct tracker_triad 
         tracker_to_array(&search->direction[found->star[k]], seen[k]);
         guide_vector(found->guide[k], known[k]);
     }
-    one = modulo(sky_bearing(known[0], known[1]) - image_bearing(seen[0], seen[1]));
-    two = modulo(sky_bearing(known[0], known[2]) - image_bearing(seen[0], seen[2]));
-    if (tracker_magnitude(between(two, one)) > TRACKER_TRIAD_ROTATION || !angles_agree(seen, known))
+    one = tracker_modulo_turn(sky_bearing(known[0], known[1]) - image_bearing(seen[0], seen[1]));
+    two = tracker_modulo_turn(sky_bearing(known[0], known[2]) - image_bearing(seen[0], seen[2]));
+    if (tracker_magnitude(tracker_turn_between(two, one)) > TRACKER_TRIAD_ROTATION || !angles_agree(seen, known))
         return;
     if (source->triads == TRACKER_TRIAD_ROOM) {
         source->full = 1;
         return;
     }
     source->triad[source->triads] = *found;
-    source->triad[source->triads++].rotation = (int16_t)modulo(one + (int32_t)tracker_shift_right(between(two, one), 1));
+    source->triad[source->triads++].rotation = (int16_t)tracker_modulo_turn(one + (int32_t)tracker_shift_right(tracker_turn_between(two, one), 1));
 }
 
 /* Triads of the votes for an elected guide star; counts the steps. */
