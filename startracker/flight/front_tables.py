@@ -21,6 +21,7 @@ from startracker.flight.stars import VARIANCE_BITS
 FRONT_MODULES = (
     "integers",
     "background",
+    "hot_pixels",
     "rows",
     "components",
     "trails",

@@ -14,4 +14,19 @@ int tracker_unit(int64_t v[3], int64_t least);             /* normalises to 2.30
 int64_t tracker_dot(const int64_t a[3], const int64_t b[3]); /* of 2.30, as the cross product */
 void tracker_cross(const int64_t a[3], const int64_t b[3], int64_t out[3]);
 
+static inline int64_t tracker_smaller(int64_t a, int64_t b)
+{
+    return a < b ? a : b;
+}
+
+static inline int64_t tracker_larger(int64_t a, int64_t b)
+{
+    return a > b ? a : b;
+}
+
+static inline int64_t tracker_limited(int64_t value, int64_t least, int64_t most)
+{
+    return value < least ? least : value > most ? most : value;
+}
+
 #endif

@@ -15,11 +15,6 @@
 #define LARGEST_ANGLE ((int64_t)1 << 27)
 #define MOST_EXTRA 10
 
-static int64_t larger(int64_t a, int64_t b)
-{
-    return a > b ? a : b;
-}
-
 /* log2 of n >= 1, rounded down. */
 static int64_t log_down(int64_t n)
 {
@@ -37,7 +32,7 @@ static int64_t log_down(int64_t n)
 /* log2 of 2^a + 2^b, rounded down. */
 static int64_t log_sum(int64_t a, int64_t b)
 {
-    const int64_t high = larger(a, b), k = (high - (a < b ? a : b)) >> SUM_STEP;
+    const int64_t high = tracker_larger(a, b), k = (high - tracker_smaller(a, b)) >> SUM_STEP;
 
     return k < TRACKER_SUMS ? high + tracker_sum_table[k] : high;
 }
@@ -205,10 +200,10 @@ static int refit(struct tracker_context *context, int points, int count)
     shift_y = off[1] - tracker_shift_right(angle * mean[0], 30);
     x = -shift_y * ONE / TRACKER_FOCAL;
     y = shift_x * ONE / TRACKER_FOCAL;
-    if (larger(tracker_magnitude(angle), larger(tracker_magnitude(x), tracker_magnitude(y))) > LARGEST_ANGLE
+    if (tracker_larger(tracker_magnitude(angle), tracker_larger(tracker_magnitude(x), tracker_magnitude(y))) > LARGEST_ANGLE
         || !turn(context->matrix, x, y, angle))
         return 0;
-    return larger(tracker_magnitude(shift_x), tracker_magnitude(shift_y)) <= SETTLED && tracker_magnitude(angle) <= SETTLED_ANGLE ? 2 : 1;
+    return tracker_larger(tracker_magnitude(shift_x), tracker_magnitude(shift_y)) <= SETTLED && tracker_magnitude(angle) <= SETTLED_ANGLE ? 2 : 1;
 }
 
 /* Whether the matched points span the field; the sum of their squared distances from their mean. */
@@ -241,7 +236,7 @@ static int spans(const struct tracker_context *context, int points, int count, i
 /* log2 of the Bayes factor of the given matches, rounded down. */
 static int64_t weigh(struct tracker_context *context, int points, int count, int in_field, int64_t lever)
 {
-    const int64_t lowered = log_down(count) + LOG_UP + ((log_down(larger(lever, 1)) + LOG_UP + 1) >> 1);
+    const int64_t lowered = log_down(count) + LOG_UP + ((log_down(tracker_larger(lever, 1)) + LOG_UP + 1) >> 1);
     int64_t everything = NEVER;
     int s, i, k, m, at, found, depth;
 
@@ -267,7 +262,7 @@ static int64_t weigh(struct tracker_context *context, int points, int count, int
                 if (context->rank[k] < depth) {
                     m++;
                     total += context->gain[k];
-                    value = larger(value, total + tracker_distracting[points - m] + tracker_seeing[m][depth - m]);
+                    value = tracker_larger(value, total + tracker_distracting[points - m] + tracker_seeing[m][depth - m]);
                 }
             of_width = log_sum(of_width, value);
         }

@@ -114,9 +114,9 @@ static int32_t median(int32_t a, int32_t b, int32_t c)
     return c < low ? low : c > high ? high : c;
 }
 
-static int32_t limited(int64_t value, int32_t most)
+static int32_t positive(int64_t value, int32_t most)
 {
-    return value < 0 ? 0 : value > most ? most : (int32_t)value;
+    return (int32_t)tracker_limited(value, 0, most);
 }
 
 /* One tile after another block; levels of 12 fraction bits. */
@@ -130,7 +130,7 @@ static void follow_tile(struct tracker_front_block *block, int tile, int32_t lev
     if (lost || step)
         block->level[tile] = level;
     else
-        block->level[tile] = limited((int64_t)block->level[tile] + block->slope[tile] + tracker_shift_right(followed, gain),
+        block->level[tile] = positive((int64_t)block->level[tile] + block->slope[tile] + tracker_shift_right(followed, gain),
                                      LARGEST_LEVEL << 12);
     if (step)
         block->slope[tile] = 0;
@@ -166,7 +166,7 @@ static int32_t extended(int32_t first, int32_t second, int side)
 {
     int64_t rise = (int64_t)(first - second) * tracker_front_extend[side];
 
-    return limited(first + tracker_shift_right(rise, 16), LARGEST_LEVEL << 8);
+    return positive(first + tracker_shift_right(rise, 16), LARGEST_LEVEL << 8);
 }
 
 void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
@@ -183,7 +183,7 @@ void tracker_front_line_at(struct tracker_front_rows *rows, int32_t y)
     for (tile = 0; tile < TRACKER_FRONT_TILES; tile++) {
         moved = (int64_t)block->slope[tile] * (2 * (y - number * TRACKER_FRONT_BLOCK) - TRACKER_FRONT_BLOCK + 1);
         line->level[tile + 1] =
-            limited(block->level[tile] + tracker_shift_right(moved, 3), LARGEST_LEVEL << 12) >> 4;
+            positive(block->level[tile] + tracker_shift_right(moved, 3), LARGEST_LEVEL << 12) >> 4;
         line->noise[tile + 1] = block->noise[tile] >> 4;
         line->slope[tile + 1] = (int32_t)tracker_shift_right(block->slope[tile], 6);
     }
@@ -218,7 +218,7 @@ static uint16_t without(uint16_t value, int32_t rise)
 {
     const int32_t most = TRACKER_FRONT_SATURATION - 1 < UINT16_MAX ? TRACKER_FRONT_SATURATION - 1 : UINT16_MAX;
 
-    return value < TRACKER_FRONT_SATURATION ? (uint16_t)limited((int64_t)value - rise, most) : value;
+    return value < TRACKER_FRONT_SATURATION ? (uint16_t)positive((int64_t)value - rise, most) : value;
 }
 
 void tracker_front_level(const struct tracker_front_rows *rows, int cell, struct tracker_front_candidate *candidate)

@@ -14,16 +14,6 @@
 #define SCATTERS 2
 #define SAMPLE 24
 
-static int64_t larger(int64_t a, int64_t b)
-{
-    return a > b ? a : b;
-}
-
-static int64_t smaller(int64_t a, int64_t b)
-{
-    return a < b ? a : b;
-}
-
 static int64_t component(const struct tracker_vector *v, int axis)
 {
     return axis == 0 ? v->x : axis == 1 ? v->y : v->z;
@@ -45,18 +35,18 @@ int64_t tracker_log_down(int64_t n)
 
 int64_t tracker_log_sum(int64_t a, int64_t b)
 {
-    const int64_t high = larger(a, b), k = (high - smaller(a, b)) >> SUM_STEP;
+    const int64_t high = tracker_larger(a, b), k = (high - tracker_smaller(a, b)) >> SUM_STEP;
 
     return k < TRACKER_SEARCH_SUMS ? high + tracker_search_sum[k] : high;
 }
 
 int64_t tracker_log_sum_up(int64_t a, int64_t b)
 {
-    const int64_t high = larger(a, b), k = (high - smaller(a, b)) >> SUM_STEP;
+    const int64_t high = tracker_larger(a, b), k = (high - tracker_smaller(a, b)) >> SUM_STEP;
 
     if (k == 0)
         return high + ONE;
-    return high + tracker_search_sum[smaller(k - 1, TRACKER_SEARCH_SUMS - 1)] + 1;
+    return high + tracker_search_sum[tracker_smaller(k - 1, TRACKER_SEARCH_SUMS - 1)] + 1;
 }
 
 /* Sum of the squared distances of the stars from their mean, divided by their number, 2^-52. */
@@ -88,12 +78,12 @@ static void add_crowding(struct tracker_search *search, int i, int j, int64_t lo
         const int64_t off = component(&search->direction[i], axis) - component(&search->direction[j], axis);
         square += off * off;
     }
-    x = tracker_log_down(larger(square, 1)) - log_extent - LOG_UP;
+    x = tracker_log_down(tracker_larger(square, 1)) - log_extent - LOG_UP;
     for (width = 0; width < CROWD_WIDTHS; width++) {
         const int64_t entry =
             tracker_shift_right(x + (2 * width - TRACKER_SEARCH_CROWD_FROM) * ONE, TRACKER_SEARCH_CROWD_STEP_BITS);
         const int64_t value = entry < 0 ? (int64_t)1 << CROWD_BITS
-                                        : tracker_search_crowd[smaller(entry, TRACKER_SEARCH_CROWD_ENTRIES - 1)];
+                                        : tracker_search_crowd[tracker_smaller(entry, TRACKER_SEARCH_CROWD_ENTRIES - 1)];
         search->work.sum[width][i] += value;
         search->work.sum[width][j] += value;
     }
@@ -186,7 +176,7 @@ static void compare_magnitudes(struct tracker_search *search)
             likely = density(scatter, own - tracker_guide_magnitude[field->guide[field->rank[star]]]);
             likely = tracker_log_down(likely + TRACKER_SEARCH_DENSITY_FLOOR) - tracker_log_down(anyhow) - LOG_UP;
             field->ratio[scatter][k] = (int32_t)likely;
-            most = larger(most, likely);
+            most = tracker_larger(most, likely);
         }
         field->ratio[scatter][0] -= (int32_t)most;
     }
@@ -220,7 +210,7 @@ static int64_t assignments(struct tracker_search *search, int width, int scatter
             if (field->ordered_rank[k] < depth) {
                 m++;
                 total += field->gain[k];
-                value = larger(value, total + ((int64_t)tracker_search_distracting[n - m]
+                value = tracker_larger(value, total + ((int64_t)tracker_search_distracting[n - m]
                                                + tracker_search_seeing[m][depth - m]) * up);
             }
         out = tracker_log_sum(out, value);
@@ -238,7 +228,7 @@ static int64_t crowding_price(const struct tracker_search *search)
         int64_t sum = 0;
         for (k = 0; k < search->field.matched; k++)
             sum += search->excess[width][search->field.star[k]];
-        price = larger(price, sum);
+        price = tracker_larger(price, sum);
     }
     return price;
 }

@@ -42,11 +42,6 @@ static int64_t scaled(int64_t value, int bits)
     return value * ((int64_t)1 << bits);
 }
 
-static int64_t limited(int64_t value, int64_t least, int64_t most)
-{
-    return value < least ? least : value > most ? most : value;
-}
-
 static int is_used(const struct fitted *fitted, int column, int row)
 {
     return tracker_front_inside(fitted->candidate, column, row)
@@ -118,16 +113,11 @@ static void make_images(const struct fitted *fitted, int32_t x, int32_t y)
 
 /* ------------------------------------------------------------------ sums */
 
-static int64_t smaller(int64_t a, int64_t b)
-{
-    return a < b ? a : b;
-}
-
 /* 2^19 x the dark variance over that of a pixel with a light, DN of 4 fraction bits. */
 static int64_t weight_of(const struct fitted *fitted, int32_t light)
 {
-    const int64_t uneven = smaller(((int64_t)light * TRACKER_FRONT_FLAT) >> 16, 1 << 16);
-    const int64_t ratio = smaller(4096 + ((light * fitted->photon) >> 20) + ((uneven * uneven * fitted->flat) >> 20), INT32_MAX);
+    const int64_t uneven = tracker_smaller(((int64_t)light * TRACKER_FRONT_FLAT) >> 16, 1 << 16);
+    const int64_t ratio = tracker_smaller(4096 + ((light * fitted->photon) >> 20) + ((uneven * uneven * fitted->flat) >> 20), INT32_MAX);
 
     return (int64_t)(((uint32_t)1 << 31) / (uint32_t)ratio);
 }
@@ -198,13 +188,13 @@ static int32_t move(struct tracker_front_fit *fit, const struct normal *normal, 
 
     dx = tracker_floor_quotient(scaled(dx, 11 + normal->shift - normal->scale), fit->flux);
     dy = tracker_floor_quotient(scaled(dy, 11 + normal->shift - normal->scale), fit->flux);
-    dx = limited(dx, -LONGEST_STEP, LONGEST_STEP);
-    dy = limited(dy, -LONGEST_STEP, LONGEST_STEP);
+    dx = tracker_limited(dx, -LONGEST_STEP, LONGEST_STEP);
+    dy = tracker_limited(dy, -LONGEST_STEP, LONGEST_STEP);
     more = scaled(more, normal->shift - normal->scale - 15);
-    more = limited(more, -(((int64_t)fit->flux + 1) / 2), fit->flux);
-    fit->x = (int32_t)limited(fit->x + dx, -FARTHEST - 1, FARTHEST + 1);
-    fit->y = (int32_t)limited(fit->y + dy, -FARTHEST - 1, FARTHEST + 1);
-    fit->flux = (int32_t)limited(fit->flux + more, LEAST_FLUX, MOST_FLUX);
+    more = tracker_limited(more, -(((int64_t)fit->flux + 1) / 2), fit->flux);
+    fit->x = (int32_t)tracker_limited(fit->x + dx, -FARTHEST - 1, FARTHEST + 1);
+    fit->y = (int32_t)tracker_limited(fit->y + dy, -FARTHEST - 1, FARTHEST + 1);
+    fit->flux = (int32_t)tracker_limited(fit->flux + more, LEAST_FLUX, MOST_FLUX);
     dx = tracker_magnitude(dx);
     dy = tracker_magnitude(dy);
     return (int32_t)(dx > dy ? dx : dy);
@@ -215,7 +205,7 @@ static int32_t move(struct tracker_front_fit *fit, const struct normal *normal, 
 /* Half the trace of the inverse information matrix. */
 static int64_t variance_of(const struct fitted *fitted, int32_t flux, const struct normal *normal, int64_t determinant)
 {
-    int64_t ratio = limited(((int64_t)fitted->candidate->noise << 24) / flux, 0, (1 << 30) - 1);
+    int64_t ratio = tracker_limited(((int64_t)fitted->candidate->noise << 24) / flux, 0, (1 << 30) - 1);
     int64_t square = ratio * ratio, information = determinant / (normal->matrix[3] + normal->matrix[4]);
     int shift = 18 - normal->scale, k;
 
@@ -223,7 +213,7 @@ static int64_t variance_of(const struct fitted *fitted, int32_t flux, const stru
         square *= 2;
         shift--;
     }
-    return limited(scaled(square / (information > 1 ? information : 1), shift), 0, UINT32_MAX);
+    return tracker_limited(scaled(square / (information > 1 ? information : 1), shift), 0, UINT32_MAX);
 }
 
 /* Chi squared of the fit, and of nothing but one bright pixel. */
@@ -240,9 +230,9 @@ static int64_t misfits(const struct fitted *fitted, int32_t flux, int64_t *alone
                 continue;
             k = j * SIDE + i;
             light = light_at(fitted, flux, k);
-            size = limited(tracker_magnitude((int64_t)m->data[k] - light), 0, 1 << 16);
+            size = tracker_limited(tracker_magnitude((int64_t)m->data[k] - light), 0, 1 << 16);
             total += weight_of(fitted, light) * size * size;
-            size = limited(tracker_magnitude(m->data[k]), 0, 1 << 16);
+            size = tracker_limited(tracker_magnitude(m->data[k]), 0, 1 << 16);
             size = size * size * ((int64_t)1 << 19);
             squares += size;
             if (m->data[k] > 0 && size > brightest)
@@ -310,7 +300,7 @@ static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
     int64_t above = 0, below = 0;
 
     fitted->square = (int64_t)c->noise * c->noise;
-    fitted->photon = limited(TRACKER_FRONT_GAIN / fitted->square, 0, (int64_t)1 << 34);
+    fitted->photon = tracker_limited(TRACKER_FRONT_GAIN / fitted->square, 0, (int64_t)1 << 34);
     fitted->flat = ((int64_t)1 << 40) / fitted->square;
     fitted->used = 0;
     make_images(fitted, fit->x, fit->y);
@@ -324,7 +314,7 @@ static void begin(struct fitted *fitted, struct tracker_front_fit *fit)
             fitted->used++;
         }
     below >>= 15;
-    fit->flux = (int32_t)limited(tracker_floor_quotient(above, below > 1 ? below : 1), LEAST_FLUX, MOST_FLUX);
+    fit->flux = (int32_t)tracker_limited(tracker_floor_quotient(above, below > 1 ? below : 1), LEAST_FLUX, MOST_FLUX);
 }
 
 void tracker_front_fit_star(struct tracker_front *front, int candidate)

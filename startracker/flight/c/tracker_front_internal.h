@@ -14,8 +14,10 @@ int32_t tracker_front_between(const int32_t *knots, int cell, int32_t x);
 void tracker_front_level(const struct tracker_front_rows *rows, int cell,
                          struct tracker_front_candidate *candidate); /* removes the background's slope from its stamp */
 
-/* tracker_rows.c */
+/* tracker_hot_pixels.c */
 void tracker_front_bridge_row(struct tracker_front_rows *rows, int32_t y); /* rows up to y - 1 are then without hot pixels */
+
+/* tracker_rows.c */
 void tracker_front_search_row(struct tracker_front *front, int32_t y);
 
 /* tracker_components.c */
@@ -38,15 +40,7 @@ void tracker_front_trace(struct tracker_front *front, int32_t y, int32_t x); /* 
 void tracker_front_trace_row(struct tracker_front *front, int32_t y);        /* after the pixels of row y */
 
 /* tracker_trail_fit.c */
-
-/* A line: middle and length (pixels of 16 fraction bits), unit vector (15). */
-struct tracker_front_line_image {
-    int64_t x, y, length, cos, sin;
-};
-
-void tracker_front_start_along(const struct tracker_front *front, struct tracker_front_line_image *line);
-int tracker_front_fit_trail(const struct tracker_front *front, const struct tracker_front_line_image *start, int32_t noise,
-                            int free, struct tracker_front_trail *trail); /* 0: it is none */
+void tracker_front_measure_trail(struct tracker_front *front, const struct tracker_front_piece *piece); /* adds it */
 
 /* tracker_motion.c */
 void tracker_front_motion_at(const struct tracker_front_motion *motion, int64_t x, int64_t y, int64_t along[2]);

@@ -3,6 +3,7 @@
 #define TRACKER_SEARCH_H
 
 #include "tracker_hypotheses.h"
+#include "tracker_integers.h"
 #include "tracker_types.h"
 
 #define TRACKER_SEARCH_SIDES (TRACKER_SEARCH_SIDE_STARS * (TRACKER_SEARCH_SIDE_STARS - 1) / 2)
@@ -128,11 +129,6 @@ static inline void tracker_to_vector(const int64_t v[3], struct tracker_vector *
     out->x = (int32_t)v[0];
     out->y = (int32_t)v[1];
     out->z = (int32_t)v[2];
-}
-
-static inline int64_t tracker_smaller(int64_t a, int64_t b)
-{
-    return a < b ? a : b;
 }
 
 /* Column of the grid of a coordinate, 2.30. */

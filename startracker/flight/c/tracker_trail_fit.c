@@ -5,6 +5,7 @@
 #define BESIDE (7 << 15)       /* pixels of a fit, from the line and beyond its ends, 16 fraction bits */
 #define BEYOND (4 << 16)
 #define SHORTEST (3 << 16)
+#define LONG (5 << 16)          /* least length of a component that is fitted, and greatest of a trail */
 #define LONGEST (60 << 16)
 #define STEP (1 << 16)
 #define STRETCH (4 << 16)
@@ -13,6 +14,7 @@
 #define COVERED 2              /* part of the pixels near a line, as its inverse, that must be known */
 #define LEAST_ABOVE 2          /* rows that must be known above a trail: one whose beginning is lost has another middle */
 #define FEWEST_PIXELS 20
+#define BRIGHT 100             /* fluxes over noises from which a trail has its own length and direction */
 #define STRENGTH 64            /* least square of the signal-to-noise ratio; of known length and direction */
 #define STRENGTH_KNOWN 36
 #define PLACES 8
@@ -35,6 +37,11 @@ struct sums {
     int32_t used;
 };
 
+/* A line: middle and length (pixels of 16 fraction bits), unit vector (15). */
+struct tracker_front_line_image {
+    int64_t x, y, length, cos, sin;
+};
+
 /* Where a line is in the pixels that are kept. */
 struct walk {
     const struct tracker_front_tracing *tracing;
@@ -43,11 +50,6 @@ struct walk {
     int64_t square, photon, flat; /* of the noise */
     int64_t peak;
 };
-
-static int64_t limited(int64_t value, int64_t least, int64_t most)
-{
-    return value < least ? least : value > most ? most : value;
-}
 
 static int64_t in_sigmas(const struct walk *walk, int64_t away)
 {
@@ -81,10 +83,10 @@ static void make_parts(const struct walk *walk, int64_t u, int64_t v, parts out)
 
 static int64_t weight_of(const struct walk *walk, int64_t light)
 {
-    int64_t uneven = limited((light * TRACKER_FRONT_FLAT) >> 16, 0, 1 << 16);
+    int64_t uneven = tracker_limited((light * TRACKER_FRONT_FLAT) >> 16, 0, 1 << 16);
     int64_t ratio = 4096 + ((light * walk->photon) >> 20) + ((uneven * uneven * walk->flat) >> 20);
 
-    return ((int64_t)1 << 31) / limited(ratio, 1, INT32_MAX);
+    return ((int64_t)1 << 31) / tracker_limited(ratio, 1, INT32_MAX);
 }
 
 /* Adds a pixel: to the sums of a fit, or to the light in the line only. */
@@ -103,7 +105,7 @@ static void add_pixel(const struct walk *walk, int64_t u, int64_t v, int64_t dat
     }
     light = (walk->peak * part[0]) >> 15;
     weight = weight_of(walk, light);
-    left = limited(data - light, -(1 << 16), 1 << 16);
+    left = tracker_limited(data - light, -(1 << 16), 1 << 16);
     for (k = 0; k < PARTS; k++) {
         sums->normal[k] += weight * part[k] * part[k];
         sums->score[k] += weight * part[k] * left;
@@ -139,7 +141,7 @@ static void add_row(const struct walk *walk, int32_t y, int64_t most, struct sum
             if (value == UNUSED || tracker_magnitude(v) > BESIDE || tracker_magnitude(u) > (line->length >> 1) + BEYOND)
                 continue;
             value = (value > UNUSED ? value - 65536 : value) * 4;
-            add_pixel(walk, u, v, limited(value, -most, most), sums);
+            add_pixel(walk, u, v, tracker_limited(value, -most, most), sums);
         }
     }
 }
@@ -169,7 +171,7 @@ static void start_walk(const struct tracker_front *front, const struct tracker_f
 }
 
 /* Moves a line along itself to where its light is strongest, of those that cover its middle. */
-void tracker_front_start_along(const struct tracker_front *front, struct tracker_front_line_image *line)
+static void start_along(const struct tracker_front *front, struct tracker_front_line_image *line)
 {
     const struct tracker_front_line_image start = *line;
     struct walk walk;
@@ -201,7 +203,7 @@ static int64_t step_of(int64_t score, int64_t normal, int64_t peak)
         normal >>= 1;
     }
     score = tracker_floor_quotient(tracker_floor_quotient(score * most, normal > 1 ? normal : 1), peak);
-    return limited(score, -((int64_t)1 << 40), (int64_t)1 << 40);
+    return tracker_limited(score, -((int64_t)1 << 40), (int64_t)1 << 40);
 }
 
 static void move(struct walk *walk, const struct sums *sums, int free)
@@ -213,21 +215,21 @@ static void move(struct walk *walk, const struct sums *sums, int free)
 
     for (k = 1; k < PARTS; k++)
         step[k] = step_of(sums->score[k], sums->normal[k], walk->peak);
-    along = limited(tracker_floor_quotient(step[1] * 4096, walk->inverse), -STEP, STEP);
-    across = limited(tracker_floor_quotient(step[2] * 4096, walk->inverse), -STEP, STEP);
+    along = tracker_limited(tracker_floor_quotient(step[1] * 4096, walk->inverse), -STEP, STEP);
+    across = tracker_limited(tracker_floor_quotient(step[2] * 4096, walk->inverse), -STEP, STEP);
     line->x += tracker_shift_right(along * line->cos - across * line->sin, 15);
     line->y += tracker_shift_right(along * line->sin + across * line->cos, 15);
     if (free)
-        line->length += limited(tracker_floor_quotient(step[3] * 8192, walk->inverse), -STRETCH, STRETCH);
-    step[4] = free ? limited(tracker_shift_right(step[4], 3), -TURN, TURN) : 0;
+        line->length += tracker_limited(tracker_floor_quotient(step[3] * 8192, walk->inverse), -STRETCH, STRETCH);
+    step[4] = free ? tracker_limited(tracker_shift_right(step[4], 3), -TURN, TURN) : 0;
     cos = line->cos - tracker_shift_right(line->sin * step[4], 16);
     sin = line->sin + tracker_shift_right(line->cos * step[4], 16);
     size = tracker_square_root(cos * cos + sin * sin);
     line->cos = tracker_floor_quotient(cos * 32768, size);
     line->sin = tracker_floor_quotient(sin * 32768, size);
-    line->length = limited(line->length, SHORTEST, LONGEST);
-    more = limited(more, -(walk->peak / 2), walk->peak);
-    walk->peak = limited(walk->peak + more, LEAST_PEAK, MOST_PEAK);
+    line->length = tracker_limited(line->length, SHORTEST, LONGEST);
+    more = tracker_limited(more, -(walk->peak / 2), walk->peak);
+    walk->peak = tracker_limited(walk->peak + more, LEAST_PEAK, MOST_PEAK);
 }
 
 /* ------------------------------------------------------------------ result */
@@ -259,9 +261,9 @@ static int make_trail(const struct walk *walk, const struct sums *sums, int32_t 
                       struct tracker_front_trail *trail)
 {
     const struct tracker_front_line_image *line = &walk->line;
-    int64_t dark = limited(((int64_t)noise << 12) / walk->peak, 1, 1 << 20), square = dark * dark, variance;
+    int64_t dark = tracker_limited(((int64_t)noise << 12) / walk->peak, 1, 1 << 20), square = dark * dark, variance;
     int64_t strength = sums->normal[0] / (square << 17), freedom = sums->used - 5, excess, half_x, half_y;
-    int64_t chi2 = sums->chi2 / (8 * walk->square), allowed = WORST + (WORST * limited(strength, 0, 1 << 30) >> 12);
+    int64_t chi2 = sums->chi2 / (8 * walk->square), allowed = WORST + (WORST * tracker_limited(strength, 0, 1 << 30) >> 12);
 
     if (strength < (free ? STRENGTH : STRENGTH_KNOWN) || chi2 > allowed * freedom)
         return 0;
@@ -270,7 +272,7 @@ static int make_trail(const struct walk *walk, const struct sums *sums, int32_t 
                >> 1;
     excess = chi2 - freedom * 256;
     if (excess > tracker_square_root(32 * freedom << 16))
-        variance = variance * limited(chi2 >> 4, 0, 1 << 24) / (16 * freedom);
+        variance = variance * tracker_limited(chi2 >> 4, 0, 1 << 24) / (16 * freedom);
     half_x = tracker_shift_right(line->length * line->cos, 16);
     half_y = tracker_shift_right(line->length * line->sin, 16);
     if (walk->tracing->oldest > 0
@@ -287,14 +289,15 @@ static int make_trail(const struct walk *walk, const struct sums *sums, int32_t 
     trail->flux = (int32_t)(((walk->peak * line->length >> 16) * 4096) / walk->inverse);
     trail->x = (int32_t)line->x;
     trail->y = (int32_t)line->y;
-    trail->variance = (uint32_t)limited(variance, 0, UINT32_MAX);
+    trail->variance = (uint32_t)tracker_limited(variance, 0, UINT32_MAX);
     trail->along_x = (int16_t)half_x;
     trail->along_y = (int16_t)half_y;
     return 1;
 }
 
-int tracker_front_fit_trail(const struct tracker_front *front, const struct tracker_front_line_image *start, int32_t noise,
-                            int free, struct tracker_front_trail *trail)
+/* 0: it is none. */
+static int fit_trail(const struct tracker_front *front, const struct tracker_front_line_image *start, int32_t noise,
+                     int free, struct tracker_front_trail *trail)
 {
     struct walk walk;
     struct sums sums;
@@ -303,11 +306,11 @@ int tracker_front_fit_trail(const struct tracker_front *front, const struct trac
 
     start_walk(front, start, &walk);
     walk.square = (int64_t)noise * noise;
-    walk.photon = limited(TRACKER_FRONT_GAIN / walk.square, 0, (int64_t)1 << 34);
+    walk.photon = tracker_limited(TRACKER_FRONT_GAIN / walk.square, 0, (int64_t)1 << 34);
     walk.flat = ((int64_t)1 << 40) / walk.square;
     sum_pixels(&walk, INT32_MAX, &sums);
     sums.square >>= 15;
-    walk.peak = limited(tracker_floor_quotient(sums.light, sums.square > 1 ? sums.square : 1), LEAST_PEAK, MOST_PEAK);
+    walk.peak = tracker_limited(tracker_floor_quotient(sums.light, sums.square > 1 ? sums.square : 1), LEAST_PEAK, MOST_PEAK);
     for (step = 0; step <= STEPS; step++) {
         sum_pixels(&walk, INT32_MAX, &sums);
         for (k = 0; k < PARTS; k++)
@@ -323,4 +326,65 @@ int tracker_front_fit_trail(const struct tracker_front *front, const struct trac
         || COVERED * sums.used < area)
         return 0;
     return make_trail(&walk, &sums, noise, free, trail);
+}
+
+/* ------------------------------------------------------------------ components */
+
+/* Line with the moments of a component's area; 0: it is not long. */
+static int line_of(const struct tracker_front_piece *piece, struct tracker_front_line_image *line)
+{
+    int64_t n = piece->pixels, cx = piece->x / n, cy = piece->y / n, size;
+    int64_t mx = (piece->x - cx * n) * 256 / n, my = (piece->y - cy * n) * 256 / n;
+    int32_t moments[3], axes[2];
+
+    moments[0] = (int32_t)((piece->xx - 2 * cx * piece->x + cx * cx * n) * 256 / n - ((mx * mx) >> 8));
+    moments[1] = (int32_t)((piece->yy - 2 * cy * piece->y + cy * cy * n) * 256 / n - ((my * my) >> 8));
+    moments[2] = (int32_t)(tracker_floor_quotient((piece->xy - cx * piece->y - cy * piece->x + cx * cy * n) * 256, n)
+                           - ((mx * my) >> 8));
+    tracker_front_principal(moments, axes);
+    line->length = tracker_square_root((int64_t)12 * (axes[0] - axes[1]) << 24);
+    if (line->length < LONG)
+        return 0;
+    line->cos = moments[0] >= moments[1] ? axes[0] - moments[1] : moments[2];
+    line->sin = moments[0] >= moments[1] ? moments[2] : axes[0] - moments[0];
+    size = tracker_square_root((line->cos * line->cos + line->sin * line->sin) << 16);
+    if (size == 0)
+        return 0;
+    line->cos = tracker_floor_quotient(line->cos * 8388608, size);
+    line->sin = tracker_floor_quotient(line->sin * 8388608, size);
+    line->x = cx * 65536 + mx * 256;
+    line->y = cy * 65536 + my * 256;
+    return 1;
+}
+
+void tracker_front_measure_trail(struct tracker_front *front, const struct tracker_front_piece *piece)
+{
+    struct tracker_front_line_image line;
+    struct tracker_front_trail trail, other;
+    int64_t along[2], length;
+    int32_t noise, x;
+    int found;
+
+    if (!line_of(piece, &line))
+        return;
+    x = (int32_t)(line.x >> 16);
+    noise = tracker_front_between(front->work.rows.line.noise, tracker_front_cell(x), x);
+    found = fit_trail(front, &line, noise, 1, &trail);
+    if (front->motion.known
+        && (!found || trail.flux < BRIGHT * (int64_t)noise || !tracker_front_agrees(&trail, &front->motion))) {
+        tracker_front_motion_at(&front->motion, line.x, line.y, along);
+        length = tracker_square_root((along[0] * along[0] + along[1] * along[1]) << 16);
+        if (length >= LONG && length <= LONGEST) {
+            line.length = length;
+            line.cos = tracker_floor_quotient(along[0] * 8388608, length);
+            line.sin = tracker_floor_quotient(along[1] * 8388608, length);
+            start_along(front, &line);
+            if (fit_trail(front, &line, noise, 0, &other)) {
+                trail = other;
+                found = 1;
+            }
+        }
+    }
+    if (found)
+        tracker_front_add_trail(front, &trail);
 }

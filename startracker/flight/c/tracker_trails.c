@@ -1,4 +1,4 @@
-/* Trails: components above half the threshold, the pixels about them, and their measurement when they have ended. */
+/* Trails: components above half the threshold, the pixels about them, until they have ended. */
 #include "tracker_front_internal.h"
 
 #define HALF TRACKER_FRONT_HALF
@@ -13,9 +13,6 @@
 #define FEWEST 12
 #define LARGEST_SIDE 56
 #define MOST_PIXELS 900
-#define LONG (5 << 16)
-#define LONGEST (60 << 16)
-#define BRIGHT 100             /* fluxes over noises from which a trail has its own length and direction */
 #define UNUSED 32768           /* of a pixel that is saturated or beyond the range */
 #define RANGE 32767
 #define BIT(x) ((uint8_t)(1u << ((x) & 7)))
@@ -331,66 +328,7 @@ static void keep_row(struct tracker_front *front, int32_t r)
     }
 }
 
-/* ------------------------------------------------------------------ measurement */
-
-/* Line with the moments of a component's area; 0: it is not long. */
-static int line_of(const struct tracker_front_piece *piece, struct tracker_front_line_image *line)
-{
-    int64_t n = piece->pixels, cx = piece->x / n, cy = piece->y / n, size;
-    int64_t mx = (piece->x - cx * n) * 256 / n, my = (piece->y - cy * n) * 256 / n;
-    int32_t moments[3], axes[2];
-
-    moments[0] = (int32_t)((piece->xx - 2 * cx * piece->x + cx * cx * n) * 256 / n - ((mx * mx) >> 8));
-    moments[1] = (int32_t)((piece->yy - 2 * cy * piece->y + cy * cy * n) * 256 / n - ((my * my) >> 8));
-    moments[2] = (int32_t)(tracker_floor_quotient((piece->xy - cx * piece->y - cy * piece->x + cx * cy * n) * 256, n)
-                           - ((mx * my) >> 8));
-    tracker_front_principal(moments, axes);
-    line->length = tracker_square_root((int64_t)12 * (axes[0] - axes[1]) << 24);
-    if (line->length < LONG)
-        return 0;
-    line->cos = moments[0] >= moments[1] ? axes[0] - moments[1] : moments[2];
-    line->sin = moments[0] >= moments[1] ? moments[2] : axes[0] - moments[0];
-    size = tracker_square_root((line->cos * line->cos + line->sin * line->sin) << 16);
-    if (size == 0)
-        return 0;
-    line->cos = tracker_floor_quotient(line->cos * 8388608, size);
-    line->sin = tracker_floor_quotient(line->sin * 8388608, size);
-    line->x = cx * 65536 + mx * 256;
-    line->y = cy * 65536 + my * 256;
-    return 1;
-}
-
-static void measure(struct tracker_front *front, const struct tracker_front_piece *piece)
-{
-    struct tracker_front_line_image line;
-    struct tracker_front_trail trail, other;
-    int64_t along[2], length;
-    int32_t noise, x;
-    int found;
-
-    if (!line_of(piece, &line))
-        return;
-    x = (int32_t)(line.x >> 16);
-    noise = tracker_front_between(front->work.rows.line.noise, tracker_front_cell(x), x);
-    found = tracker_front_fit_trail(front, &line, noise, 1, &trail);
-    if (front->motion.known
-        && (!found || trail.flux < BRIGHT * (int64_t)noise || !tracker_front_agrees(&trail, &front->motion))) {
-        tracker_front_motion_at(&front->motion, line.x, line.y, along);
-        length = tracker_square_root((along[0] * along[0] + along[1] * along[1]) << 16);
-        if (length >= LONG && length <= LONGEST) {
-            line.length = length;
-            line.cos = tracker_floor_quotient(along[0] * 8388608, length);
-            line.sin = tracker_floor_quotient(along[1] * 8388608, length);
-            tracker_front_start_along(front, &line);
-            if (tracker_front_fit_trail(front, &line, noise, 0, &other)) {
-                trail = other;
-                found = 1;
-            }
-        }
-    }
-    if (found)
-        tracker_front_add_trail(front, &trail);
-}
+/* ------------------------------------------------------------------ rows */
 
 /* Row from which all pixels about a piece are kept. */
 static int64_t last_row(const struct tracker_front *front, const struct tracker_front_piece *piece)
@@ -423,7 +361,7 @@ void tracker_front_trace_row(struct tracker_front *front, int32_t y)
             piece->state = READY;
     }
     for (n = next_in(tracing, READY, y); n != NONE; n = next_in(tracing, READY, y)) {
-        measure(front, &tracing->piece[n]);
+        tracker_front_measure_trail(front, &tracing->piece[n]);
         tracing->piece[n].state = FREE;
         tracing->pending--;
     }
