@@ -32,7 +32,16 @@ from simulator.study.flight.program import FlightProgram, frame_bytes, velocity_
 
 TARGETS = {"m4": CORTEX_M4, "m7": CORTEX_M7, "68k": M68K, "rv64": RISCV64, "rv32": RISCV32}
 STAGES = {
-    "background, detection": ("front", "hot_pixels", "rows", "background", "components", "trails", "trail_fit", "motion"),
+    "background, detection": (
+        "front",
+        "hot_pixels",
+        "rows",
+        "background",
+        "components",
+        "trails",
+        "trail_fit",
+        "motion",
+    ),
     "centroids": ("stamps", "fit"),
     "identification": (
         *("search", "votes", "pair", "candidates", "confirm", "verify", "evidence"),

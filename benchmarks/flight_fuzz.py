@@ -1,7 +1,7 @@
 """Fuzzing of the flight build (libFuzzer): its stages one by one and together, in both arithmetics.
 
     python -m benchmarks.flight_fuzz [--seconds 600] [--jobs 2] [--what front stars ...] [--arithmetic fixed float]
-                                     [--corpus DIR]
+                                     [--identifier triads] [--corpus DIR]
 
 The code is that of every camera; the constants are smaller, so that an execution is short and limits are reached: few
 pixels, 12 stars, guide stars of two parts of the sky, searches of at most 25,000 steps. Executions are added up in
@@ -29,7 +29,7 @@ from benchmarks.flight_fuzz_seeds import SEEDS
 from simulator.study.exported_c.fuzz import FuzzResult, build_fuzzers, run_fuzzer
 from startracker import Camera, DetectionSettings, StarTracker
 from startracker.fixed_point.export_c import CExport
-from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import Part, assemble, flight_parts
 from startracker.flight.solver import FlightTracker
 
@@ -45,6 +45,9 @@ SMALLER = {
     "SEARCH_MOST_CANDIDATES": 10,
     "SEARCH_KEPT": 4,
     "FOLLOWING_WINDOW": 6,
+    "TRIAD_ROOM": 96,
+    "TRIAD_GROUPS": 8,
+    "TRIAD_NAMED": 24,
 }
 """Limits that frames and lists of this size would not reach."""
 SKY_PARTS = ((1.0, 0.2, 0.0), (0.1, 0.0, 1.0))
@@ -70,11 +73,10 @@ CAMERAS = {"front": FRONT, "frames": FRAMES} | dict.fromkeys(list(LONGEST)[2:], 
 """Camera of each fuzzer."""
 
 
-def fuzz_design(camera: Small, arithmetic: str) -> FlightDesign:
+def fuzz_design(camera: Small, arithmetic: str, identifier: str = "adaptive") -> FlightDesign:
     """A camera with about ten guide stars in its fields."""
-    tracker = StarTracker(
-        Camera.from_fov(camera.fov_deg, camera.width, camera.height), magnitude_limit=camera.magnitude
-    )
+    optics = Camera.from_fov(camera.fov_deg, camera.width, camera.height)
+    tracker = StarTracker(optics, magnitude_limit=camera.magnitude, identifier=identifier)
     guide = tracker.guide
     axes = np.array(SKY_PARTS) / np.linalg.norm(SKY_PARTS, axis=1)[:, None]
     near = np.flatnonzero((guide.directions @ axes.T).max(axis=1) > np.cos(np.radians(camera.radius_deg)))
@@ -89,12 +91,12 @@ def fuzz_design(camera: Small, arithmetic: str) -> FlightDesign:
     )
     detection = DetectionSettings(max_stars=12, background_tile_px=16, max_pixels=60)
     numbers, settings = DetectorNumbers(1.0, 5.0, 4095), (detection, tracker.centroid, tracker.identification)
-    return FlightDesign(tracker.camera, guide, numbers, 0.9, *settings, arithmetic, name="fuzz")
+    return FlightDesign(tracker.camera, guide, numbers, 0.9, *settings, arithmetic, name="fuzz", identifier=identifier)
 
 
-def fuzz_export(camera: Small, arithmetic: str) -> CExport:
+def fuzz_export(camera: Small, arithmetic: str, identifier: str = "adaptive") -> CExport:
     """The export of a camera, with searches that end early and smaller limits."""
-    tracker = FlightTracker.build(fuzz_design(camera, arithmetic))
+    tracker = FlightTracker.build(fuzz_design(camera, arithmetic, identifier))
     parts = [_smaller(part, camera.steps) for part in flight_parts(tracker)]
     return assemble(tracker.design, parts, "tracker", "")
 
@@ -217,27 +219,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     made.add_argument("--jobs", type=int, default=1, help="fuzzers at a time")
     made.add_argument("--what", nargs="*", default=list(LONGEST), choices=list(LONGEST))
     made.add_argument("--arithmetic", nargs="*", default=["fixed", "float"], choices=["fixed", "float"])
+    made.add_argument("--identifier", choices=IDENTIFIERS, default="adaptive")
     made.add_argument("--corpus", type=Path, help="folder that keeps inputs and executions")
     options = made.parse_args(arguments)
     with tempfile.TemporaryDirectory() as temporary:
         corpus: Path = options.corpus or Path(temporary) / "corpus"
         corpus.mkdir(parents=True, exist_ok=True)
         programs: dict[str, Path] = {}
+        named = "" if options.identifier == "adaptive" else f"{options.identifier}_"
         for arithmetic in options.arithmetic:
             for number, camera in enumerate(dict.fromkeys(CAMERAS[what] for what in options.what)):
                 folder = Path(temporary) / f"{arithmetic}{number}"
                 folder.mkdir()
-                export = fuzz_export(camera, arithmetic)
+                export = fuzz_export(camera, arithmetic, options.identifier)
                 built = build_fuzzers(export, [what for what in options.what if CAMERAS[what] == camera], folder)
-                programs |= {f"{what}_{arithmetic}": program for what, program in built.items()}
+                programs |= {f"{what}_{named}{arithmetic}": program for what, program in built.items()}
         tallies = Tallies(corpus, code_digest(export))
 
         def run(name: str) -> None:
-            what = name.rpartition("_")[0]
+            what = name.partition("_")[0]
             fuzz(programs[name], what, corpus / name, options.seconds, lambda result: tallies.add(name, result))
-            print(f"{name:15} {tallies.now[name]}", flush=True)
+            print(f"{name:20} {tallies.now[name]}", flush=True)
 
-        print("fuzzer            executions per second    edges  found", flush=True)
+        print("fuzzer                 executions per second    edges  found", flush=True)
         with ThreadPoolExecutor(options.jobs) as pool:
             list(pool.map(run, programs))
         print(f"{tallies.executions:,} executions of this code, {tallies.earlier:,} of earlier states of it")

@@ -308,9 +308,11 @@ def test_native_work_estimates_emulated_instructions(design, tmp_path):
 @pytest.mark.slow
 @needs_fuzzer
 @pytest.mark.parametrize("arithmetic", ["fixed", "float"])
-@pytest.mark.parametrize("what", list(LONGEST))
-def test_five_seconds_of_fuzzing_find_nothing(what, arithmetic, tmp_path):
-    program = build_fuzzers(fuzz_export(CAMERAS[what], arithmetic), [what], tmp_path)[what]
+@pytest.mark.parametrize(
+    ("what", "identifier"), [*((what, "adaptive") for what in LONGEST), ("frames", "triads"), ("search", "triads")]
+)
+def test_five_seconds_of_fuzzing_find_nothing(what, identifier, arithmetic, tmp_path):
+    program = build_fuzzers(fuzz_export(CAMERAS[what], arithmetic, identifier), [what], tmp_path)[what]
     result = fuzz(program, what, tmp_path / "corpus", 5)
     assert result.finding == ""
     assert result.executions > 100
@@ -318,23 +320,25 @@ def test_five_seconds_of_fuzzing_find_nothing(what, arithmetic, tmp_path):
 
 
 FAULTS = {
+    "search triads": ("triad_votes", "names == TRACKER_TRIAD_NAMED", "names == TRACKER_TRIAD_NAMED + 1"),
     "front": ("components", "front->objects < TRACKER_FRONT_OBJECTS", "front->objects <= TRACKER_FRONT_OBJECTS"),
-    "frames": ("rows", "bridge->count == TRACKER_FRONT_HOT", "bridge->count == TRACKER_FRONT_HOT + 1"),
+    "frames": ("hot_pixels", "bridge->count == TRACKER_FRONT_HOT", "bridge->count == TRACKER_FRONT_HOT + 1"),
     "search": ("search", "k > 0 && search->best[k - 1].evidence", "search->best[k - 1].evidence"),
     "stars": ("solver", "found->best.guide[k] >= 0", "found->best.guide[k] >= -1"),
     "pose": ("pose_fit", "c = (star[n].variance + added) >> shift", "c = (star[n].variance + added) >> 14"),
     "filter": ("following", "if (f->innovations == WINDOW) {", "if (f->innovations > WINDOW) {"),
     "session": ("following", "k < 4; k++)\n        to[k] = from[k]", "k <= 4; k++)\n        to[k] = from[k]"),
 }
-"""A fault for each fuzzer, an index or a shift: module, text, what replaces it."""
+"""A fault for each fuzzer and, if it is not the default, identifier: module, text, what replaces it."""
 
 
 @pytest.mark.slow
 @needs_fuzzer
-@pytest.mark.parametrize("what", list(FAULTS))
-def test_fuzzers_find_a_fault_in_seconds(what, tmp_path):
-    module, text, fault = FAULTS[what]
-    export = fuzz_export(CAMERAS[what], "fixed")
+@pytest.mark.parametrize("fuzzer", list(FAULTS))
+def test_fuzzers_find_a_fault_in_seconds(fuzzer, tmp_path):
+    module, text, fault = FAULTS[fuzzer]
+    what, _, identifier = fuzzer.partition(" ")
+    export = fuzz_export(CAMERAS[what], "fixed", identifier or "adaptive")
     name = f"tracker_{module}.c"
     assert export.files[name].count(text) == 1
     export = replace(export, files={**export.files, name: export.files[name].replace(text, fault)})

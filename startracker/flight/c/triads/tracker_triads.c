@@ -73,7 +73,7 @@ static void try_triad(struct tracker_search *search, const struct tracker_triad 
 {
     struct tracker_source *source = &search->work.source;
     int64_t seen[3][3], known[3][3];
-    int32_t one, two;
+    int32_t one, two, apart;
     int k;
 
     for (k = 0; k < 3; k++) {
@@ -82,14 +82,15 @@ static void try_triad(struct tracker_search *search, const struct tracker_triad 
     }
     one = tracker_modulo_turn(sky_bearing(known[0], known[1]) - image_bearing(seen[0], seen[1]));
     two = tracker_modulo_turn(sky_bearing(known[0], known[2]) - image_bearing(seen[0], seen[2]));
-    if (tracker_magnitude(tracker_turn_between(two, one)) > TRACKER_TRIAD_ROTATION || !angles_agree(seen, known))
+    apart = tracker_turn_between(two, one);
+    if (tracker_magnitude(apart) > TRACKER_TRIAD_ROTATION || !angles_agree(seen, known))
         return;
     if (source->triads == TRACKER_TRIAD_ROOM) {
         source->full = 1;
         return;
     }
     source->triad[source->triads] = *found;
-    source->triad[source->triads++].rotation = (int16_t)tracker_modulo_turn(one + (int32_t)tracker_shift_right(tracker_turn_between(two, one), 1));
+    source->triad[source->triads++].rotation = (int16_t)tracker_modulo_turn(one + (int32_t)tracker_shift_right(apart, 1));
 }
 
 /* Triads of the votes for an elected guide star; counts the steps. */
