@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.detection.defects import mask_extremes
-from startracker.detection.values import Image, as_pixels
+from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.display import fields_repr
 
 SATURATED_SHARE = 0.05
@@ -68,7 +68,9 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
     level = saturation_dn
     if level is None and as_given.dtype.kind == "u":
         level = float(np.iinfo(as_given.dtype).max)
-    # integers are always finite, and their range takes a quarter of the time
+    if pixels.dtype.kind == "u" and level is not None:  # always finite, and their range takes a quarter of the time
+        lowest, highest, full = whole_range(pixels, math.ceil(max(min(2.0**16, level), 0.0)))
+        return Survey(pixels, float(lowest), float(highest), full / pixels.size, level), ""
     plane = given if given.dtype.kind in "ui" else pixels
     lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
     gaps = not (math.isfinite(lowest) and math.isfinite(highest))  # NaN makes both NaN
@@ -82,10 +84,7 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
         lowest, highest = float(np.fmin.reduce(pixels, axis=None)), float(np.fmax.reduce(pixels, axis=None))
     if level is None:
         level = highest if highest > 0 else math.inf
-    full = 0
-    if highest >= level:  # compared as integers where they are: NumPy would convert the image for a fraction
-        whole = pixels.dtype.kind == "u"
-        full = int(np.count_nonzero(pixels >= (pixels.dtype.type(math.ceil(max(level, 0.0))) if whole else level)))
+    full = int(np.count_nonzero(pixels >= level)) if highest >= level else 0
     return Survey(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 

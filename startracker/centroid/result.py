@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,10 +64,10 @@ def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:
     excess : (N,)
         χ² of each fit minus its degrees of freedom, in standard deviations; not finite: left out.
     """
-    fitted = [(-f, e) for f, e in zip(flux.tolist(), excess.tolist(), strict=True) if math.isfinite(e)]
-    brightest = sorted(e for _, e in sorted(fitted, key=itemgetter(0))[:_BRIGHTEST])
+    fitted = np.flatnonzero(np.isfinite(excess))
+    brightest = np.sort(excess[fitted[np.argsort(-flux[fitted], kind="stable")[:_BRIGHTEST]]])
     count = len(brightest)
     if count < _FEWEST:
         return None
-    median: float = 0.5 * (brightest[(count - 1) // 2] + brightest[count // 2])
+    median = float(0.5 * (brightest[(count - 1) // 2] + brightest[count // 2]))
     return median * math.sqrt(count) / _MEDIAN_ERROR

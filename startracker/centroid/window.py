@@ -216,8 +216,7 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
         Whether to take the bias off; the flux is corrected for the window either way.
     """
     out = np.full((len(peaks.x), MEASURED), np.nan)
-    centres = np.stack([centres_of_means(sigma_x, half), centres_of_means(sigma_y, half)])
-    _measure(pixels, peaks, half, np.array([sigma_x, sigma_y]), correct, centres, out)
+    _measure(pixels, peaks, half, (sigma_x, sigma_y), correct, out)
     # known no better than a star image, or a pixel, is wide: it is not a star image
     limit = max(sigma_x, sigma_y, 1.0) ** 2
     out[((out[:, 3] > limit) | (out[:, 4] > limit)) & ~peaks.saturated] = np.nan
@@ -226,9 +225,10 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
 
 @kernel
 def _measure(
-    pixels: Pixels, peaks: Peaks, half: int, sigma: FloatArray, correct: bool, centres: FloatArray, out: FloatArray
+    pixels: Pixels, peaks: Peaks, half: int, sigma: tuple[float, float], correct: bool, out: FloatArray
 ) -> None:
-    """Rows of `measure_stars`; `centres` as of `centres_of_means` for either axis."""
+    """Rows of `measure_stars`."""
+    centres = centres_of_means(sigma[0], half), centres_of_means(sigma[1], half)
     for index in range(len(out)):
         row = out[index]
         if peaks.saturated[index]:
@@ -259,9 +259,9 @@ def _measure_star(
     x: int,
     y: int,
     half: int,
-    sigma: FloatArray,
+    sigma: tuple[float, float],
     correct: bool,
-    centres: FloatArray,
+    centres: tuple[FloatArray, FloatArray],
     out: FloatArray,
 ) -> None:
     """Row of a star by its corrected moment, the window moved until its middle pixel holds the centre."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
-from startracker.detection.sources import SOURCE, Sources, add_pixel
+from startracker.detection.sources import SOURCE, Sources, add_pixel, join_tables
 from startracker.detection.thresholds import BLEND_LEAST_PX2, BLEND_PIXELS, RING_SHARE, VALLEY_SHARE, VALLEY_SIGMA
 from startracker.detection.values import Image
 from startracker.kernels import kernel, kernel_part
@@ -53,6 +55,15 @@ def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> f
     return least
 
 
+class _Peaks(NamedTuple):
+    """Highest pixels of their neighbourhoods in objects that have several."""
+
+    position: IntArray
+    """x, y and object (N, 3)."""
+    height: FloatArray
+    """Signal (N,), DN."""
+
+
 def part_blends(
     runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image, level: Plane, noise: Plane,
     saturation: float,
@@ -63,97 +74,103 @@ def part_blends(
     there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
     than six or more than `most_pixels` pixels stay whole.
     """
-    most = int(np.sum(runs[:, 2] - runs[:, 1])) + 1
-    peaks, heights = np.empty((most, 3), np.int64), np.empty(most)
-    count = _find_peaks(runs, number, table, most_pixels, image, level, peaks, heights)
-    of = peaks[:count, 2]
-    several = np.flatnonzero(np.bincount(of, minlength=len(table))[of] > 1)
-    if not len(several):
+    most = int(table["pixels"].sum()) + 1
+    room = _Peaks(np.empty((most, 3), np.int64), np.empty(most))
+    count = _find_peaks(runs, number, table, most_pixels, image, level, np.zeros(len(table), np.int64), room)
+    if not count:
         return table, 0
-    order = several[np.lexsort((-heights[several], of[several]))]
-    peaks, heights = peaks[order], heights[order]
+    peaks = _Peaks(room.position[:count], room.height[:count])
+    order = np.lexsort((-peaks.height, peaks.position[:, 2]))
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
-    head, following = np.full(len(table), -1), np.full(len(peaks), -1)
-    _chain_peaks(peaks, heights, image, level, noise, head, following)
-    parted = (head >= 0) & (following[head] >= 0)
-    if not parted.any():
+    head, following = np.full(len(table), -1), np.full(count, -1)
+    parted = _chain_peaks(peaks, order, image, level, noise, head, following)
+    if not parted:
         return table, 0
-    head[~parted] = -1
-    parts = np.zeros(len(peaks), SOURCE)
-    _share_pixels(runs, head[number], following, peaks, image, level, np.float32(saturation), parts)
+    parts = np.zeros(count, SOURCE)
+    _share_pixels(runs, number, (head, following), peaks.position, image, level, np.float32(saturation), parts)
     # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
-    kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= heights)
-    joined = np.concatenate([table.take(np.flatnonzero(~parted)), parts.take(np.flatnonzero(kept))])
-    return joined, int(np.count_nonzero(parted))
+    kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= peaks.height)
+    return join_tables(table.take(np.flatnonzero(head < 0)), parts.take(np.flatnonzero(kept))), parted
 
 
 @kernel
 def _find_peaks(
-    runs: IntArray,
-    number: IntArray,
-    table: Sources,
-    most_pixels: int,
-    image: Image,
-    level: Plane,
-    peaks: IntArray,
-    heights: FloatArray,
-) -> int:
-    """Fill x, y, object and signal of the highest pixels of their neighbourhoods in objects of some sizes; how many."""
-    last = np.uint64(0)
+    runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image, level: Plane, count: IntArray,
+    peaks: _Peaks,
+) -> int:  # fmt: skip
+    """Fill the peaks of objects of some sizes that have several; how many. `count` (N,) gets the peaks of each object.
+
+    `peaks` has room for all pixels.
+    """
+    position, height, last, kept = peaks.position, peaks.height, np.uint64(0), 0
     for index in range(len(runs)):
         of, y = number[index], np.uint64(runs[index, 0])
         if not BLEND_PIXELS <= table[of]["pixels"] <= most_pixels:
             continue
         for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
             # written for every pixel, kept for peaks
-            peaks[last, 0], peaks[last, 1], peaks[last, 2] = x, y, of
-            last += np.uint64(_is_peak(image, x, y))
+            position[last, 0], position[last, 1], position[last, 2] = x, y, of
+            is_peak = np.uint64(_is_peak(image, x, y))
+            last += is_peak
+            count[of] += np.int64(is_peak)
     for peak in range(last):
-        x, y = peaks[peak, 0], peaks[peak, 1]
-        heights[peak] = np.float64(image[y, x]) - np.float64(level[y, x])
-    return int(np.int64(last))
+        x, y, of = position[peak, 0], position[peak, 1], position[peak, 2]
+        if count[of] > 1:
+            position[kept, 0], position[kept, 1], position[kept, 2] = x, y, of
+            height[kept] = np.float64(image[y, x]) - np.float64(level[y, x])
+            kept += 1
+    return kept
 
 
 @kernel
 def _chain_peaks(
-    peaks: IntArray, heights: FloatArray, image: Image, level: Plane, noise: Plane, head: IntArray,
-    following: IntArray,
-) -> None:  # fmt: skip
-    """Chain the peaks of each object, given by falling height, that a valley separates from those before."""
-    for peak in range(len(peaks)):
-        x, y, of = peaks[peak, 0], peaks[peak, 1], peaks[peak, 2]
-        other, height, depth = head[of], heights[peak], VALLEY_SIGMA * noise[y, x]
+    peaks: _Peaks, order: IntArray, image: Image, level: Plane, noise: Plane, head: IntArray, following: IntArray
+) -> int:
+    """Chain the peaks of each object that a valley separates from those before; how many objects have more than one.
+
+    `order` takes them object by object, by falling height. An object with a single one gets no chain.
+    """
+    position, height, parted = peaks.position, peaks.height, 0
+    for peak in order:
+        x, y, of = position[peak, 0], position[peak, 1], position[peak, 2]
+        other, here, depth = head[of], height[peak], VALLEY_SIGMA * noise[y, x]
         separate = True
         while other >= 0 and separate:
-            dx, dy = x - peaks[other, 0], y - peaks[other, 1]
-            least = _valley(image, level, x, y, peaks[other, 0], peaks[other, 1])
+            dx, dy = x - position[other, 0], y - position[other, 1]
+            least = _valley(image, level, x, y, position[other, 0], position[other, 1])
             separate = (
                 dx * dx + dy * dy >= BLEND_LEAST_PX2
-                and height > RING_SHARE * heights[other]
-                and least < VALLEY_SHARE * height
-                and height - least > depth
+                and here > RING_SHARE * height[other]
+                and least < VALLEY_SHARE * here
+                and here - least > depth
             )
             other = following[other]
         if separate:
             following[peak] = head[of]
             head[of] = peak
+    for of in range(len(head)):
+        if head[of] >= 0 and following[head[of]] >= 0:
+            parted += 1
+        else:
+            head[of] = -1
+    return parted
 
 
 @kernel
 def _share_pixels(
-    runs: IntArray, heads: IntArray, following: IntArray, peaks: IntArray, image: Image, level: Plane,
+    runs: IntArray, number: IntArray, chains: tuple[IntArray, IntArray], position: IntArray, image: Image, level: Plane,
     saturation: float, parts: Sources,
 ) -> None:  # fmt: skip
-    """Add the pixels of runs, each to the nearest peak of the chain whose head is given; −1: the run is not shared."""
-    height, width = image.shape
+    """Add the pixels of objects with a chain of peaks, given by its head and what follows, each to the nearest peak."""
+    (head, following), (height, width) = chains, image.shape
     for index in range(len(runs)):
-        y, first = runs[index, 0], heads[index]
+        y, first = runs[index, 0], head[number[index]]
         if first < 0:
             continue
         for x in range(runs[index, 1], runs[index, 2]):
             nearest, best, other = -1, _FAR_PX2, first
             while other >= 0:
-                dx, dy = x - peaks[other, 0], y - peaks[other, 1]
+                dx, dy = x - position[other, 0], y - position[other, 1]
                 # equal distances go to the brighter, which comes later in the chain
                 if dx * dx + dy * dy <= best:
                     nearest, best = other, dx * dx + dy * dy

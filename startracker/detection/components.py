@@ -14,7 +14,7 @@ from startracker.detection.matched import filter_half, search_filtered
 from startracker.detection.objects import cut_runs, join_runs, measure_objects
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.selection import select_spots
-from startracker.detection.sources import Sources
+from startracker.detection.sources import Sources, join_tables
 from startracker.detection.spots import Spots
 from startracker.detection.thresholds import LONGEST_TIMES, OVERSIZED_CONTRAST, OVERSIZED_LEVELS, OVERSIZED_RAISE
 from startracker.detection.trailed import decide, line_up, looks_trailed, select_trailed
@@ -135,4 +135,4 @@ def measure_found(
             break
         threshold *= OVERSIZED_RAISE
         runs, signal = cut_runs(runs, signal, oversized[number], noise, np.float32(threshold))
-    return np.concatenate(tables), parted
+    return join_tables(*tables), parted

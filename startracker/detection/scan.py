@@ -156,7 +156,7 @@ def search_rows(
     rows_found, sampled = _search(
         image, level, noise, half, np.float32(threshold), stride, space, _Found(groups, found, sample)
     )
-    return groups[:rows_found].copy(), found[:rows_found].copy(), sample[:sampled].copy()
+    return groups[:rows_found], found[:rows_found], sample[:sampled]
 
 
 class _Space(NamedTuple):

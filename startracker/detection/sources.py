@@ -37,6 +37,14 @@ Sources: TypeAlias = NDArray[np.void]
 """Table of `SOURCE` rows, shape (N,)."""
 
 
+_ROW = np.dtype((np.void, SOURCE.itemsize))
+
+
+def join_tables(*tables: Sources) -> Sources:
+    """Rows of several tables; NumPy copies structured rows column by column, which takes twenty times as long."""
+    return np.concatenate([table.view(_ROW) for table in tables]).view(SOURCE)
+
+
 class Searched(NamedTuple):
     """What sources were found in."""
 

@@ -11,6 +11,7 @@ from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
+from startracker.kernels import kernel
 
 Image = NDArray[np.float32] | NDArray[np.uint16]
 """What kernels read: float32 of which some may not be finite, or uint16."""
@@ -66,3 +67,18 @@ def _is_whole(image: Any) -> Callable[[Any], bool]:
         return whole
 
     return found
+
+
+@kernel
+def whole_range(image: NDArray[np.uint16], least: int) -> tuple[int, int, int]:
+    """Lowest and highest value of an image of integers, and how many are at least `least`, in one pass."""
+    lowest, highest, count = image[0, 0], image[0, 0], 0
+    for y in range(image.shape[0]):
+        row, top = image[y], image[y, 0]
+        for x in range(len(row)):
+            lowest, top = min(lowest, row[x]), max(top, row[x])
+        highest = max(highest, top)
+        if top >= least:  # few rows have such values
+            for x in range(len(row)):
+                count += int(row[x] >= least)
+    return int(lowest), int(highest), count

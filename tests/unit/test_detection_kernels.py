@@ -14,11 +14,11 @@ from startracker.detection.objects import find_runs
 from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import measure_shapes
-from startracker.detection.sources import SOURCE, Searched
+from startracker.detection.sources import SOURCE, Searched, join_tables
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.surroundings import are_clutter
 from startracker.detection.tiles import find_kth, smooth_tiles, tile_statistics, whole_step
-from startracker.detection.values import as_image, as_pixels, is_value
+from startracker.detection.values import as_image, as_pixels, is_value, whole_range
 
 
 def rng(*key):
@@ -319,3 +319,18 @@ def test_long_objects_among_the_brightest(needed):
     brightest = [n for n in np.argsort(-table["flux"]) if table["pixels"][n] >= 10][:20]
     assert are_long(table, needed, 10, 20, 5.0) == (long[brightest].sum() >= needed)
     assert 3 <= long[brightest].sum() < long.sum()
+
+
+@pytest.mark.parametrize("least", [0, 200, 65_535, 65_536])
+def test_range_of_integers_is_that_of_numpy(least):
+    image = rng(40).integers(3, 65_536, (37, 53)).astype(np.uint16)
+    image[5, 7] = 65_535
+    expected = image.min(), image.max(), np.count_nonzero(image.astype(np.int64) >= least)
+    assert whole_range(image, least) == expected
+
+
+def test_joined_tables_have_all_columns_of_both():
+    first, second = (np.zeros(count, SOURCE) for count in (3, 2))
+    for column in SOURCE.names:
+        first[column], second[column] = rng(41).integers(0, 2, 3), rng(42).integers(0, 2, 2)
+    assert np.array_equal(join_tables(first, second), np.concatenate([first, second]))
