@@ -1,7 +1,7 @@
 """The flight build in C compared with `StarTracker`: rendered frames and lists of stars, lost in space.
 
     python -m benchmarks.flight [--frames 200] [--lists 2000] [--case WORD ...] [--arithmetic fixed float]
-                                [--keep DIR] [--out FILE.md]
+                                [--identifier triads] [--keep DIR] [--out FILE.md]
 
 Both get the same pixels or the same list, the calibrated camera, the velocity of the observer and the epoch. An
 attitude is correct within the limits of the other benchmarks. The ratio of the errors is that of their rms across the
@@ -39,11 +39,12 @@ from simulator.study.trials.trial import build_tracker, solve_frame
 from startracker import StarTracker
 from startracker.arrays import FloatArray
 from startracker.flight.apparent import epoch_of
-from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.stars import StarList
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 SEED = 20
+DEFAULT = "adaptive"
 MOON = "Moon at the edge"
 LIST_FLUX_DN = 1e6
 """Of magnitude 0 in the lists, of which only ratios count."""
@@ -52,8 +53,8 @@ LIMITS = {"fixed": 1.1, "float": 1.05}
 """Largest ratio of the errors."""
 ALLOWED = 0.01
 """Largest share of what `StarTracker` identifies and the C does not."""
-_DEFAULTS = ("tracker.detector=components", "tracker.centroider=least_squares", "tracker.identifier=adaptive")
-_DEFAULTS += ("tracker.identification={}", "tracker.centroid={}")
+_DEFAULTS = ("tracker.detector=components", "tracker.centroider=least_squares", "tracker.centroid={}")
+_DEFAULTS += ("tracker.identification={}",)
 """The methods of the flight build, in place of those of the thesis."""
 FRAMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cubesat": ("cubesat.yaml", ()),
@@ -102,19 +103,21 @@ def outcome_of(
 
 
 # ------------------------------------------------------------------ frames
-def scenario_of(name: str) -> Scenario:
+def scenario_of(name: str, identifier: str) -> Scenario:
     """Scenario of a kind of frames, lost in space."""
     file, values = FRAMES[name]
-    return Scenario.load(SCENARIOS / file, ["study.sampling=sky", "tracker.prior=false", *values], seed=SEED)
+    common = ["study.sampling=sky", "tracker.prior=false", f"tracker.identifier={identifier}"]
+    return Scenario.load(SCENARIOS / file, [*common, *values], seed=SEED)
 
 
-def rendered(name: str, count: int, keep: Path | None) -> Iterator[Given]:
+def rendered(name: str, identifier: str, count: int, keep: Path | None) -> Iterator[Given]:
     """Frames with the answers of `StarTracker`, from `keep` if they are there."""
-    scenario = scenario_of(name)
+    scenario = scenario_of(name, identifier)
+    folder = name.replace(" ", "_") + ("" if identifier == DEFAULT else f"_{identifier}")
     make: list[Callable[[int], tuple[Frame, FrameTruth]]] = []
     solver: list[StarTracker] = []
     for index in range(count):
-        file = None if keep is None else keep / name.replace(" ", "_") / f"{index}.npz"
+        file = None if keep is None else keep / folder / f"{index}.npz"
         if file is None or not file.exists():
             if not make:
                 renderer = Renderer(scenario)
@@ -141,17 +144,19 @@ def _solved(tracker: StarTracker, frame: Frame, truth: FrameTruth) -> Given:
     return Given(np.asarray(frame.image), velocity, true, outcome, epoch)
 
 
-def compare_frames(name: str, arithmetics: list[str], count: int, keep: Path | None) -> list[list[str]]:
+def compare_frames(
+    name: str, identifier: str, arithmetics: list[str], count: int, keep: Path | None
+) -> list[list[str]]:
     """A row for each arithmetic."""
     with tempfile.TemporaryDirectory() as folder:
         programs = {}
         for arithmetic in arithmetics:
             into = Path(folder) / arithmetic
             into.mkdir()
-            programs[arithmetic] = FlightProgram(flight_design(scenario_of(name), arithmetic), into)
+            programs[arithmetic] = FlightProgram(flight_design(scenario_of(name, identifier), arithmetic), into)
         python: list[Outcome] = []
         compiled: dict[str, list[Outcome]] = {arithmetic: [] for arithmetic in arithmetics}
-        for given in rendered(name, count, keep):
+        for given in rendered(name, identifier, count, keep):
             python.append(given.outcome)
             for arithmetic, program in programs.items():
                 answer = program.frames([given.image], given.velocity, given.epoch)[0]
@@ -162,9 +167,9 @@ def compare_frames(name: str, arithmetics: list[str], count: int, keep: Path | N
 
 
 # ------------------------------------------------------------------ lists
-def list_design(case: Case, arithmetic: str) -> tuple[FlightDesign, StarTracker]:
+def list_design(case: Case, identifier: str, arithmetic: str) -> tuple[FlightDesign, StarTracker]:
     """Design of the camera of a benchmark case, and the tracker that it is compared with."""
-    tracker = StarTracker(case.camera(), magnitude_limit=case.magnitude_limit)
+    tracker = StarTracker(case.camera(), magnitude_limit=case.magnitude_limit, identifier=identifier)
     design = FlightDesign(
         tracker.camera,
         tracker.guide,
@@ -175,6 +180,7 @@ def list_design(case: Case, arithmetic: str) -> tuple[FlightDesign, StarTracker]
         tracker.identification,
         arithmetic,
         name=case.name,
+        identifier=identifier,
     )
     return design, tracker
 
@@ -186,7 +192,7 @@ def scene_text(scene: Scene, most: int) -> str:
     return list_text(stars._replace(variance=np.zeros(len(xy), dtype=np.int64)))
 
 
-def compare_lists(name: str, arithmetics: list[str], count: int) -> list[list[str]]:
+def compare_lists(name: str, identifier: str, arithmetics: list[str], count: int) -> list[list[str]]:
     """A row for each arithmetic."""
     case = LIST_CASES[name]
     maker, pixel = SceneMaker(case, SEED), case.camera().pixel_rad
@@ -194,7 +200,7 @@ def compare_lists(name: str, arithmetics: list[str], count: int) -> list[list[st
     rows = []
     python: list[Outcome] = []
     for arithmetic in arithmetics:
-        design, tracker = list_design(case, arithmetic)
+        design, tracker = list_design(case, identifier, arithmetic)
         if not python:
             for scene in scenes:
                 solution = tracker.solve_centroids(scene.xy, scene.flux)
@@ -265,6 +271,7 @@ def main(arguments: list[str] | None = None) -> int:
     made.add_argument("--lists", type=int, default=2000, help="lists of a case")
     made.add_argument("--case", nargs="*", default=[], metavar="WORD", help="cases whose name contains a word")
     made.add_argument("--arithmetic", nargs="*", default=list(LIMITS), choices=list(LIMITS))
+    made.add_argument("--identifier", choices=IDENTIFIERS, default=DEFAULT)
     made.add_argument("--keep", type=Path, help="folder for the rendered frames, used again if they are there")
     made.add_argument("--render", action="store_true", help="only render the frames, into the folder of --keep")
     made.add_argument("--out", type=Path, help="Markdown file to write")
@@ -273,15 +280,14 @@ def main(arguments: list[str] | None = None) -> int:
     lists: list[list[str]] = []
     for name in chosen(options.case, [*FRAMES, *LISTS]):
         if options.render:
-            solved = (
-                [one.outcome.status for one in rendered(name, options.frames, options.keep)] if name in FRAMES else []
-            )
+            kept = rendered(name, options.identifier, options.frames, options.keep) if name in FRAMES else ()
+            solved = [one.outcome.status for one in kept]
             print(f"{name}: {len(solved)} frames, {solved.count(IDENTIFIED)} identified", file=sys.stderr)
         elif name in FRAMES:
-            frames += compare_frames(name, options.arithmetic, options.frames, options.keep)
+            frames += compare_frames(name, options.identifier, options.arithmetic, options.frames, options.keep)
             print(*frames[-len(options.arithmetic) :], sep="\n", file=sys.stderr)
         elif options.lists:
-            lists += compare_lists(name, options.arithmetic, options.lists)
+            lists += compare_lists(name, options.identifier, options.arithmetic, options.lists)
             print(*lists[-len(options.arithmetic) :], sep="\n", file=sys.stderr)
     tables: list[Table] = [("Frames", COLUMNS, frames), ("Lists of stars", COLUMNS, lists)]
     tables = [table for table in tables if table[2]]

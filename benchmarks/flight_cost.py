@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks import flight_worst
 from benchmarks.cases import CASES
-from benchmarks.flight import LISTS, SEED, list_design, scenario_of, scene_text
+from benchmarks.flight import DEFAULT, LISTS, SEED, list_design, scenario_of, scene_text
 from benchmarks.report import Table, provenance, show, write_markdown
 from benchmarks.scenes import SceneMaker
 from simulator.renderer import Renderer
@@ -79,7 +79,7 @@ def by_stage(counts: InstructionCounts) -> dict[str, int]:
 
 def frame_costs(arithmetic: str, targets: list[Target]) -> list[list[str]]:
     """Memory, and instructions of one frame by stage: a row a processor."""
-    scenario = scenario_of("cubesat")
+    scenario = scenario_of("cubesat", DEFAULT)
     design = flight_design(scenario, arithmetic)
     frame, _ = Renderer(scenario).frame(0)
     words = ("frames", *map(str, velocity_of(frame.observer.velocity_km_s)))
@@ -104,7 +104,7 @@ def worst_list(arithmetic: str, count: int) -> list[Worst]:
     target = marked(CORTEX_M4, "tracker")
     found = []
     for name in LISTS:
-        design, _ = list_design(CASES[name], arithmetic)
+        design, _ = list_design(CASES[name], DEFAULT, arithmetic)
         maker = SceneMaker(CASES[name], SEED)
         texts = [scene_text(maker.scene(index), design.detection.max_stars) for index in range(count)]
         with tempfile.TemporaryDirectory() as folder:
