@@ -152,9 +152,10 @@ def test_command_writes_a_package_that_builds_and_passes_its_tests(tmp_path, ari
     assert done.exit_code == 0, done.output
     for word in ("tables", "context", "stack", "heap", "0 bytes", "time of a frame", "README.md"):
         assert word in done.output
-    made = subprocess.run(
-        ["make", "-C", str(tmp_path / "c"), "test", "solve"], capture_output=True, text=True, check=False
-    )
+    make = ["make", "-C", str(tmp_path / "c"), "test", "solve"]
+    if (arithmetic, identifier) == BUILDS[0]:  # optimised, its answers are compared with the reference above
+        make.append("CFLAGS=-std=c99 -O0 -ffp-contract=off -Wall -Wextra -Wpedantic -Wconversion -Werror")
+    made = subprocess.run(make, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stdout + made.stderr
     assert "4 frames, 0 failed" in made.stdout
     assert "5 lists, 0 failed" in made.stdout

@@ -81,7 +81,7 @@ def test_an_absolute_threshold_is_in_dn_whatever_the_background():
     image[20:24, 30:34] = 95.0
     image[40:44, 10:14] = 105.0
     background = estimate(image)
-    plain = DetectionSettings(cluster_radius_px=8, min_pixels=10, isolation=0.0, reject_hits=False)
+    plain = DetectionSettings(cluster_radius_px=8.0, min_pixels=10, isolation=0.0, reject_hits=False)
     both = find_clusters(image, background, plain)
     assert len(both) == 2
     one = find_clusters(image, background, DetectionSettings(**(vars(plain) | {"threshold_dn": 100.0})))
