@@ -19,7 +19,7 @@ import numpy as np
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 TAIL = np.float32(3.66)
 """Start of the tails."""
@@ -87,7 +87,7 @@ def upper_quantile(p: float) -> float:
     return x
 
 
-@kernel
+@kernel_part
 def add_gaussian(signal: FloatArray, sigma: float, key: Key, first: int, bits: Bits, deviate: SingleArray) -> None:
     """Add Gaussian noise of mean 0 to the pixels first, first + 1, …, in place.
 
@@ -113,7 +113,7 @@ def add_gaussian(signal: FloatArray, sigma: float, key: Key, first: int, bits: B
         signal[i] += sigma * np.float64(deviate[i])
 
 
-@kernel
+@kernel_part
 def settle_tails(deviate: SingleArray, key: Key, first: int, bits: Bits) -> None:
     """Replace deviates beyond `TAIL` by those in double precision, with additional bits of the pixels."""
     for start in range(0, deviate.size, BLOCK):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel_part, kernel_with
 
 Bits = NDArray[np.uint32]
 Key = NDArray[np.uint64]
@@ -64,7 +64,7 @@ def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> 
     return x0, x1, x2, x3
 
 
-@kernel
+@kernel_part
 def fill_bits(key: Key, first: np.uint64, lane: np.uint64, bits: Bits) -> None:
     """Random bits of the N counters first, first + 1, …, into `bits` (4 N,): the first 32 bits of each block, then the
     second, …"""

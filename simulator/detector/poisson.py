@@ -73,7 +73,7 @@ _STIRLING = np.array(
 """ln n! − (n + ½) ln n + n − ½ ln 2π for n = 0 to 15."""
 
 
-@kernel
+@kernel_part
 def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: SingleArray, number: SingleArray) -> bool:
     """Replace the means of the pixels first, first + 1, … by Poisson deviates; returns False if one of the means is
     negative, NaN or above `LARGEST_MEAN`.
@@ -111,7 +111,7 @@ def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: Singl
     return True
 
 
-@kernel
+@kernel_part
 def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleArray) -> None:
     """Replace the means by the deviates found, and by exact quantiles for the other pixels."""
     for start in range(0, signal.size, BLOCK):
@@ -174,7 +174,7 @@ def _next(
     )
 
 
-@kernel
+@kernel_part
 def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
     """Quantiles of the means below `LOWEST` into `number`, −1 if not decided; others are unchanged."""
     for i in range(bits.size):
@@ -269,7 +269,7 @@ def probability(n: float, mean: float) -> float:
     return math.exp(-stirling - deviance) / math.sqrt(2.0 * math.pi * n)
 
 
-@kernel
+@kernel_part
 def cumulative(n: float, mean: float) -> float:
     """P(≤ n) of the Poisson distribution."""
     term, total, k = 1.0, 1.0, n
