@@ -26,7 +26,7 @@ from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_wor
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""
@@ -143,7 +143,7 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
         number[i] = whole if settled & (x > _ZERO) & (rate >= LOWEST) & (rate < HIGHEST) else _OPEN
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _exp_minus(rate: np.float32) -> np.float32:
     """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, vectorised."""
     m = np.float32(np.rint(rate * _LOG2_E))
@@ -153,7 +153,7 @@ def _exp_minus(rate: np.float32) -> np.float32:
     return power
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _next(
     rate: np.float32,
     u: np.float32,
