@@ -154,16 +154,11 @@ def satellite_light(
     )
 
 
-@kernel
 def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
     """Rows of those positions (N, 2) that lie on the image or outside by no more than an extent (N,)."""
-    rows, count = np.empty(len(xy), np.int64), 0
-    for n in range(len(xy)):
-        x, y = xy[n, 0], xy[n, 1]
-        if max(-x, x - width) <= extent_px[n] and max(-y, y - height) <= extent_px[n]:
-            rows[count] = n
-            count += 1
-    return rows[:count]
+    x, y = xy[:, 0], xy[:, 1]
+    near = (-x <= extent_px) & (x - width <= extent_px) & (-y <= extent_px) & (y - height <= extent_px)
+    return near.nonzero()[0]
 
 
 @kernel

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 _LEAST_PIVOT = 1e-14
 """Relative limit of a diagonal element after elimination, below which it is rounding error."""
@@ -120,7 +120,7 @@ def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel_with(inline="always")
+@kernel_part
 def triple_product(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
     """a · (b × c)."""
     x, y, z = b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]

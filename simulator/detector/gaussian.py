@@ -19,7 +19,7 @@ import numpy as np
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 TAIL = np.float32(3.66)
 """Start of the tails."""
@@ -38,7 +38,7 @@ _MIDDLE, _LARGEST, _SIGN = np.uint32(2**31), np.int32(2**31 - 1), np.int32(31)
 _ONE, _HALF, _UNIT, _TWICE = np.float32(1.0), np.float32(0.5), np.float32(2.0**-32), np.float32(2.0**-31)
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _log(y: np.float32) -> np.float32:
     """Natural logarithm in single precision, vectorised by the compiler."""
     bits = np.int32(np.float32(y).view(np.int32) - _ROOT_HALF)
@@ -50,14 +50,14 @@ def _log(y: np.float32) -> np.float32:
     return logarithm
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _words_to_middle(word: np.uint32) -> np.int32:
     """Number of integers between this one and the centre, 0 to 2³¹ − 1, int32."""
     centred = np.int32(word ^ _MIDDLE)
     return np.int32(centred ^ np.int32(centred >> _SIGN))
 
 
-@kernel_with(inline="always")
+@kernel_part
 def tail_words(word: np.uint32) -> np.int32:
     """Number of integers beyond this one on its side of the centre, 0 to 2³¹ − 1, int32."""
     return np.int32(_LARGEST - _words_to_middle(word))
@@ -87,7 +87,7 @@ def upper_quantile(p: float) -> float:
     return x
 
 
-@kernel
+@kernel_part
 def add_gaussian(signal: FloatArray, sigma: float, key: Key, first: int, bits: Bits, deviate: SingleArray) -> None:
     """Add Gaussian noise of mean 0 to the pixels first, first + 1, …, in place.
 
@@ -113,7 +113,7 @@ def add_gaussian(signal: FloatArray, sigma: float, key: Key, first: int, bits: B
         signal[i] += sigma * np.float64(deviate[i])
 
 
-@kernel
+@kernel_part
 def settle_tails(deviate: SingleArray, key: Key, first: int, bits: Bits) -> None:
     """Replace deviates beyond `TAIL` by those in double precision, with additional bits of the pixels."""
     for start in range(0, deviate.size, BLOCK):

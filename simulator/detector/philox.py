@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel_part
 
 Bits = NDArray[np.uint32]
 Key = NDArray[np.uint64]
@@ -29,13 +29,13 @@ def draw_key(rng: np.random.Generator) -> Key:
     return np.array([bits & 0xFFFFFFFF, bits >> 32], dtype=np.uint64)
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _round(x0: np.uint64, x1: np.uint64, x2: np.uint64, x3: np.uint64, k0: np.uint64, k1: np.uint64) -> Block:
     p0, p1 = _MULTIPLY_0 * x0, _MULTIPLY_1 * x2
     return (p1 >> _HALF) ^ x1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ x3 ^ k1, p0 & _LOW
 
 
-@kernel_with(inline="always")
+@kernel_part
 def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> Block:
     """128 random bits, four uint64 below 2³², of counter (64 bits) and lane (32 bits); k0, k1: key, 32 bits each.
 
@@ -64,7 +64,7 @@ def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> 
     return x0, x1, x2, x3
 
 
-@kernel
+@kernel_part
 def fill_bits(key: Key, first: np.uint64, lane: np.uint64, bits: Bits) -> None:
     """Random bits of the N counters first, first + 1, …, into `bits` (4 N,): the first 32 bits of each block, then the
     second, …"""
@@ -75,7 +75,7 @@ def fill_bits(key: Key, first: np.uint64, lane: np.uint64, bits: Bits) -> None:
         w0[i], w1[i], w2[i], w3[i] = np.uint32(x0), np.uint32(x1), np.uint32(x2), np.uint32(x3)
 
 
-@kernel_with(inline="always")
+@kernel_part
 def further_bits(key: Key, pixel: int) -> float:
     """Uniform deviate in (0, 1) from the 53 additional bits of a pixel (lane 1), exact in double precision."""
     x0, x1, _, _ = block(key[0], key[1], np.uint64(pixel), np.uint64(1))

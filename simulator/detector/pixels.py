@@ -120,14 +120,14 @@ def _run(signal: FloatArray, collection: Collection, exposure_s: float, program:
             return LIGHT
         for k in range(program.kernels.size):
             kernel, value, key = program.kernels[k], program.values[k], program.keys[k]
-            if kernel == SHOT_NOISE:
+            if kernel in (SHOT_NOISE, GAUSSIAN_NOISE):
                 fill_bits(key, np.uint64(first // 4), np.uint64(0), bits)
+            if kernel == SHOT_NOISE:
                 if not shot_noise(run, key, first, bits, one, two):
                     return SHOT_NOISE
             elif kernel == CLIP:
                 clip(run, value[0])
             elif kernel == GAUSSIAN_NOISE:
-                fill_bits(key, np.uint64(first // 4), np.uint64(0), bits)
                 add_gaussian(run, value[0], key, first, bits, one)
             elif kernel == BEND:
                 bend(run, value[0], value[1], value[2])

@@ -26,7 +26,7 @@ from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_wor
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""
@@ -73,7 +73,7 @@ _STIRLING = np.array(
 """ln n! − (n + ½) ln n + n − ½ ln 2π for n = 0 to 15."""
 
 
-@kernel
+@kernel_part
 def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: SingleArray, number: SingleArray) -> bool:
     """Replace the means of the pixels first, first + 1, … by Poisson deviates; returns False if one of the means is
     negative, NaN or above `LARGEST_MEAN`.
@@ -111,7 +111,7 @@ def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: Singl
     return True
 
 
-@kernel
+@kernel_part
 def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleArray) -> None:
     """Replace the means by the deviates found, and by exact quantiles for the other pixels."""
     for start in range(0, signal.size, BLOCK):
@@ -143,7 +143,7 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
         number[i] = whole if settled & (x > _ZERO) & (rate >= LOWEST) & (rate < HIGHEST) else _OPEN
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _exp_minus(rate: np.float32) -> np.float32:
     """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, vectorised."""
     m = np.float32(np.rint(rate * _LOG2_E))
@@ -153,7 +153,7 @@ def _exp_minus(rate: np.float32) -> np.float32:
     return power
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _next(
     rate: np.float32,
     u: np.float32,
@@ -174,7 +174,7 @@ def _next(
     )
 
 
-@kernel
+@kernel_part
 def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
     """Quantiles of the means below `LOWEST` into `number`, −1 if not decided; others are unchanged."""
     for i in range(bits.size):
@@ -269,7 +269,7 @@ def probability(n: float, mean: float) -> float:
     return math.exp(-stirling - deviance) / math.sqrt(2.0 * math.pi * n)
 
 
-@kernel
+@kernel_part
 def cumulative(n: float, mean: float) -> float:
     """P(≤ n) of the Poisson distribution."""
     term, total, k = 1.0, 1.0, n

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 _PER_UNIT, _END = 16, 6
 """Points per unit, and the argument from which the function is 1 to all digits."""
@@ -33,7 +33,7 @@ def _series() -> FloatArray:
 _SERIES = _series()
 
 
-@kernel_with(inline="always")
+@kernel_part
 def error_function(x: float) -> float:
     """Kernel: erf x for any finite or infinite x, accurate to 4e-16."""
     size = min(abs(x), float(_END))

@@ -20,7 +20,6 @@ from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_
 from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.registry import lookup
 
 SIGMA_PER_RING = 1.34985 / 3.831705970207512
@@ -120,7 +119,7 @@ class Psf:
         e = np.asarray(electrons, dtype=float)
         if self.core is None or self.wing is None:
             limit_e = 2.0 * math.pi * self.sigma_px * self.sigma_y_px * WING_LIMIT_E
-            return np.asarray(_gaussian_radius_px(e.ravel(), limit_e, self.sigma_px)).reshape(e.shape)
+            return np.asarray(_gaussian_radius_px(e, limit_e, self.sigma_px))
         e = np.maximum(e, 1e-9)
         wanted = _reach(self.wing, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * self.peak), self.wing_step_px)
         half = self.core_half_px
@@ -137,13 +136,9 @@ class Psf:
         return float(self.core[middle, middle].max())
 
 
-@kernel
 def _gaussian_radius_px(electrons: FloatArray, limit_e: float, sigma_px: float) -> FloatArray:
-    """Kernel: radius at which Gaussians with a peak of electrons (N,) / `limit_e` fall to the limit, with a minimum."""
-    out = np.empty(len(electrons))
-    for n in range(len(electrons)):
-        out[n] = sigma_px * max(_LEAST_SIGMAS, math.sqrt(2.0 * math.log(max(electrons[n] / limit_e, 1.0))))
-    return out
+    """Radius at which Gaussians with a peak of electrons / `limit_e` fall to the limit, with a minimum."""
+    return sigma_px * np.maximum(_LEAST_SIGMAS, np.sqrt(2.0 * np.log(np.maximum(electrons / limit_e, 1.0))))
 
 
 def _reach(wing: FloatArray, share: ArrayLike, step_px: float) -> FloatArray:

@@ -152,14 +152,17 @@ def add_tabulated(
         reach_x = radius + TAPER_PX + 1.0 if radius > half else half + 1.0
         reach_y = (radius + TAPER_PX) / wings.row_px + 1.0 if radius > half else half + 1.0
         pixel, pending = (0, 0), False
-        for k in range(xy.shape[1]):
-            x, y = xy[n, k, 0], xy[n, k, 1]
-            if not (x > -1.0 - reach_x and x < width + reach_x and y > -1.0 - reach_y and y < height + reach_y):
+        for k in range(xy.shape[1] + 1):
+            ended = k == xy.shape[1]
+            x, y = xy[n, k - ended, 0], xy[n, k - ended, 1]
+            if not (ended or (-1.0 - reach_x < x < width + reach_x and -1.0 - reach_y < y < height + reach_y)):
                 continue
             now = (math.floor(x + 0.5), math.floor(y + 0.5))
-            if pending and now != pixel:
+            if pending and (ended or now != pixel):
                 _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
                 pending = False
+            if ended:
+                break
             if not pending:
                 stamp[:] = 0.0
                 moments[:] = 0.0
@@ -175,8 +178,6 @@ def add_tabulated(
                 w2, w3 = weight_y[b] * weight_x[2], weight_y[b] * weight_x[3]
                 for i in range(side * side):
                     stamp[i] += w0 * t0[i] + w1 * t1[i] + w2 * t2[i] + w3 * t3[i]
-        if pending:
-            _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
 
 
 @kernel_part
@@ -190,7 +191,7 @@ def _add_moments(moments: FloatArray, dx: float, dy: float, amount: float) -> No
     moments[5] += amount * dy * dy
 
 
-@kernel
+@kernel_part
 def _add_pixel(
     image: FloatArray, work: _Work, pixel: tuple[int, int], radius: float, whole: float, wings: Wings
 ) -> None:
@@ -205,9 +206,12 @@ def _add_pixel(
 @kernel_part
 def _fill(stamp: FloatArray, amount: float) -> None:
     """Scale a stamp to a given amount of light."""
-    held = stamp.sum()
+    held = 0.0
+    for light in stamp:
+        held += light
     if held > 0.0:
-        stamp *= amount / held
+        for i in range(len(stamp)):
+            stamp[i] *= amount / held
 
 
 @kernel_part

@@ -9,7 +9,7 @@ import numpy as np
 
 from simulator.optics.psf_table import TAPER_PX, fade
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 
 class Wings(NamedTuple):
@@ -43,17 +43,17 @@ def add_wings(
     xy = moments[4] / amount - mean_x * mean_y
     x, y = pixel[0] + mean_x, pixel[1] + mean_y
     variance = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
-    if variance < 1e-6:
-        still: float = _add_wing(image, lines, (x, y, amount), pixel, radius, wings)
-        return still
-    spread, angle = math.sqrt(variance), 0.5 * math.atan2(2.0 * xy, xx - yy)
-    dx, dy = spread * math.cos(angle), spread * math.sin(angle)
-    total: float = _add_wing(image, lines, (x + dx, y + dy, 0.5 * amount), pixel, radius, wings)
-    total += _add_wing(image, lines, (x - dx, y - dy, 0.5 * amount), pixel, radius, wings)
+    points, dx, dy, total = 1, 0.0, 0.0, 0.0
+    if variance >= 1e-6:
+        spread, angle = math.sqrt(variance), 0.5 * math.atan2(2.0 * xy, xx - yy)
+        points, dx, dy = 2, spread * math.cos(angle), spread * math.sin(angle)
+    for point in range(points):
+        side = 1 - 2 * point
+        total += _add_wing(image, lines, (x + side * dx, y + side * dy, amount / points), pixel, radius, wings)
     return total
 
 
-@kernel
+@kernel_part
 def _add_wing(
     image: FloatArray,
     lines: FloatArray,
@@ -86,11 +86,13 @@ def _add_wing(
             gap = (centre_x - half - low_x, centre_x + half - low_x)
         _fill_line(line, (left - low_x, right - low_x), gap, (x - low_x, dy), radius, amount, share, per_px)
         _add_line(image, sums, line, j, low_x, (left, right))
-    total: float = sums.sum()
+    total = 0.0
+    for light in sums:
+        total += light
     return total
 
 
-@kernel_with(forceinline=True)  # a call for each row would take a tenth of the time
+@kernel_part
 def _fill_line(
     line: FloatArray,
     ends: tuple[int, int],
@@ -117,7 +119,7 @@ def _fill_line(
     _wing_rim(line, max(inner_right + 1, gap[1] + 1, first), last, star, radius, amount, share, per_px)
 
 
-@kernel_with(forceinline=True)
+@kernel_part
 def _add_line(
     image: FloatArray, sums: FloatArray, line: FloatArray, row: int, low_x: int, ends: tuple[int, int]
 ) -> None:

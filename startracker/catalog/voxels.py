@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 from startracker.sorting import sort
 
 _STARS_PER_CUBE = 2.0
@@ -49,7 +49,7 @@ def voxel_grid(directions: FloatArray) -> VoxelGrid:
     return VoxelGrid(per_axis, start, members.astype(np.int32))
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _cell_range(centre: float, reach: float, per_axis: int) -> tuple[int, int]:
     low = int((centre - reach + 1.0) * (0.5 * per_axis))
     high = int((centre + reach + 1.0) * (0.5 * per_axis))

@@ -100,13 +100,15 @@ def next_verified(
         at, matrix, taken = next_confirmed(candidates, at, stars, sky, confirmation, limits.work - work)
         work += taken
         if at < len(candidates.focal) and not is_known(matrix, known, least_cosine):
-            found = verify_attitude(matrix, candidates.focal[at], stars, sky, scale, free)
-            work += found.operations
-            if not free and found.log_b > _LEAST_LOG_B and found.scale > _POOR_FIT:
-                other = verify_attitude(found.matrix, 0.0, stars, sky, scale, True)
+            focal = candidates.focal[at]
+            for attempt in range(1 if free else 2):  # one call: it is compiled once as a part of this kernel
+                other = verify_attitude(matrix, focal, stars, sky, scale, free or attempt > 0)
                 work += other.operations
-                if other.log_b > found.log_b + _BETTER:
+                if attempt == 0 or other.log_b > found.log_b + _BETTER:
                     found = other
+                if not (found.log_b > _LEAST_LOG_B and found.scale > _POOR_FIT):
+                    break
+                matrix, focal = found.matrix, 0.0
         at += 1
     return at, found, work
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import BoolArray, FloatArray, IntArray
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import triple_product
 
 WordArray = NDArray[np.uint64]
@@ -91,7 +91,7 @@ class _Group(NamedTuple):
     order: IntArray
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _agree(w: Windows, brighter: float, i: int, a: int, j: int, b: int) -> bool:
     """Whether the brightnesses of two couples agree, and a prior lets both through."""
     fits: bool = abs(brighter - (w.v_mag[a] - w.v_mag[b])) <= w.tolerance_mag

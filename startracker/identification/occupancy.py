@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 _BITS = 20
 """128 kB: with 9,000 guide stars and a reach of a milliradian every tenth direction is in an occupied cell."""
@@ -42,7 +42,7 @@ class Occupancy(NamedTuple):
     share: float
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _bit(i: int, j: int, k: int) -> np.uint64:
     """Bit of a cell: products with large primes (Teschner et al. 2003); unsigned, as no index counts from the end."""
     return np.uint64((i * 73856093 ^ j * 19349663 ^ k * 83492791) & ((1 << _BITS) - 1))
@@ -72,7 +72,7 @@ def occupancy_map(directions: FloatArray, reach: float) -> Occupancy:
     return Occupancy(words, per_unit, reach * reach, count / 2**_BITS)
 
 
-@kernel_with(inline="always")
+@kernel_part
 def is_occupied(x: float, y: float, z: float, occupancy: Occupancy) -> bool:
     """Whether a direction could be within reach of a guide star."""
     scale = occupancy.per_unit

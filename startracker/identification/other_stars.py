@@ -17,7 +17,7 @@ from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
 from startracker.identification.occupancy import Occupancy, is_occupied
 from startracker.identification.search_state import Candidates, Stars
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 
 _MANY = 100.0
 _MOST_OTHERS = 48
@@ -116,7 +116,7 @@ def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Other
     return count
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _position(others: Others, star: int, shrink: float) -> tuple[float, float, float]:
     """Direction in the sky of one of the other stars, with the pair where `others.frame` is."""
     frame = others.frame

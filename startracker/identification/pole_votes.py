@@ -22,7 +22,7 @@ from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.identification.search_plan import MOST_VOTES
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, grown, window
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
 BearingArray = NDArray[np.uint16]
@@ -99,7 +99,7 @@ def pair_bearings(directions: FloatArray, first: Int32Array, second: Int32Array)
     return there, back
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _bits(turn: int, slack: int, pattern: np.uint64) -> np.uint64:
     """Rolls within `slack` of a turn, one bit each."""
     low = np.uint64(((turn - slack) & (_TURN - 1)) >> 10)
@@ -108,7 +108,7 @@ def _bits(turn: int, slack: int, pattern: np.uint64) -> np.uint64:
     return (pattern << low) | (pattern >> ((np.uint64(64) - low) & np.uint64(63))) | (one << high)
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
     """Add one to the counts of some rolls; a carry beyond the third digit stays."""
     old = votes[star, 0]

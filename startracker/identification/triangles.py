@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part
 from startracker.linalg import triple_product
 from startracker.sorting import order_of
 
@@ -48,7 +48,7 @@ class _Triangle(NamedTuple):
     error_jk: float
 
 
-@kernel_with(inline="always")
+@kernel_part
 def chord_angle(a: FloatArray, b: FloatArray) -> float:
     """Angle between two unit vectors, rad, from their chord."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
@@ -68,7 +68,7 @@ def _first_of_at_least(ascending: NDArray[np.float32], value: np.float32) -> int
     return low
 
 
-@kernel_with(inline="always")
+@kernel_part
 def window(separation: NDArray[np.float32], low: float, high: float) -> tuple[int, int]:
     """First and one beyond the last of ascending separations within two limits."""
     return _first_of_at_least(separation, np.float32(low)), _first_of_at_least(separation, np.float32(high))

@@ -41,7 +41,7 @@ def rotation_cosine(one: FloatArray, other: FloatArray) -> float:
     return 0.5 * (trace - 1.0)
 
 
-@kernel
+@kernel_part
 def is_known(matrix: FloatArray, known: FloatArray, least_cosine: float) -> bool:
     """Whether an attitude is one of those known (K, 3, 3), within a rotation with this cosine."""
     closest = -1.0
@@ -247,7 +247,7 @@ def _weigh(fit: _Fit, stars: Stars, field: _Field, area: float, unknowns: int) -
     return value - clustering_price(stars.excess, index), fitting
 
 
-@kernel
+@kernel_part
 def verify_attitude(
     matrix: FloatArray, focal: float, stars: Stars, sky: SkyView, scale: float, free_focal: bool
 ) -> Verified:

@@ -91,7 +91,7 @@ def window_pixels(residual: FloatImage, noise: Plane, p: FloatArray, slack: floa
     return pixels
 
 
-@kernel_with(inline="always")
+@kernel_part
 def _decay(u: float) -> float:
     """exp(−u) of 0 ≤ u, to 1e-5 up to u = 18 and less than 1e-7 beyond: (e^(−u / 32))³², which is vectorised."""
     v = min(u, 18.0) * (-1.0 / 32.0)

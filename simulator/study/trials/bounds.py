@@ -243,21 +243,10 @@ def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None
     shares_of_pixels(out[first:], first, last, centre, scale)
 
 
-@kernel
 def _widest(paths: FloatArray) -> float:
-    """Kernel: the longest side of the boxes around paths (N, K, 2), without those with a NaN."""
-    widest = 0.0
-    for n in range(len(paths)):
-        left = right = paths[n, 0, 0]
-        top = bottom = paths[n, 0, 1]
-        whole = True
-        for k in range(paths.shape[1]):
-            x, y = paths[n, k, 0], paths[n, k, 1]
-            whole = whole and not math.isnan(x + y)
-            left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
-        if whole:
-            widest = max(widest, right - left, bottom - top)
-    return widest
+    """The longest side of the boxes around paths (N, K, 2), without those with a NaN."""
+    sides = (paths.max(axis=1) - paths.min(axis=1)).max(axis=1)
+    return float(np.fmax.reduce(sides, initial=0.0))
 
 
 def pixel_variance_e2(
