@@ -53,8 +53,12 @@ LIMITS = {"fixed": 1.1, "float": 1.05}
 """Largest ratio of the errors."""
 ALLOWED = 0.01
 """Largest share of what `StarTracker` identifies and the C does not."""
-_DEFAULTS = ("tracker.detector=components", "tracker.centroider=least_squares", "tracker.centroid={}")
-_DEFAULTS += ("tracker.identification={}",)
+_DEFAULTS: tuple[str, ...] = (
+    "tracker.detector=components",
+    "tracker.centroider=least_squares",
+    "tracker.centroid={}",
+    "tracker.identification={}",
+)
 """The methods of the flight build, in place of those of the thesis."""
 FRAMES: dict[str, tuple[str, tuple[str, ...]]] = {
     "cubesat": ("cubesat.yaml", ()),

@@ -152,17 +152,14 @@ def add_tabulated(
         reach_x = radius + TAPER_PX + 1.0 if radius > half else half + 1.0
         reach_y = (radius + TAPER_PX) / wings.row_px + 1.0 if radius > half else half + 1.0
         pixel, pending = (0, 0), False
-        for k in range(xy.shape[1] + 1):
-            ended = k == xy.shape[1]
-            x, y = xy[n, k - ended, 0], xy[n, k - ended, 1]
-            if not (ended or (-1.0 - reach_x < x < width + reach_x and -1.0 - reach_y < y < height + reach_y)):
+        for k in range(xy.shape[1]):
+            x, y = xy[n, k, 0], xy[n, k, 1]
+            if not (-1.0 - reach_x < x < width + reach_x and -1.0 - reach_y < y < height + reach_y):
                 continue
             now = (math.floor(x + 0.5), math.floor(y + 0.5))
-            if pending and (ended or now != pixel):
+            if pending and now != pixel:
                 _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
                 pending = False
-            if ended:
-                break
             if not pending:
                 stamp[:] = 0.0
                 moments[:] = 0.0
@@ -178,6 +175,8 @@ def add_tabulated(
                 w2, w3 = weight_y[b] * weight_x[2], weight_y[b] * weight_x[3]
                 for i in range(side * side):
                     stamp[i] += w0 * t0[i] + w1 * t1[i] + w2 * t2[i] + w3 * t3[i]
+        if pending:
+            _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
 
 
 @kernel_part
@@ -191,7 +190,7 @@ def _add_moments(moments: FloatArray, dx: float, dy: float, amount: float) -> No
     moments[5] += amount * dy * dy
 
 
-@kernel_part
+@kernel
 def _add_pixel(
     image: FloatArray, work: _Work, pixel: tuple[int, int], radius: float, whole: float, wings: Wings
 ) -> None:

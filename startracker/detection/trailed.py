@@ -65,7 +65,7 @@ def line_up(table: Sources) -> float | None:
     xy = np.column_stack([table["x_peak"][:count], table["y_peak"][:count]]).astype(np.float64)
     pairs = np.zeros(_DIRECTIONS, np.int64)
     _count_directions(xy, pairs)
-    if 3 * pairs.max() < FEWEST_ALIGNED:
+    if 3 * pairs.max() < FEWEST_ALIGNED:  # no three directions beside each other have enough
         return None
     three = pairs + pairs[_BEFORE] + pairs[_AFTER]
     most, mean = int(np.argmax(three)), 3.0 * pairs.sum() / _DIRECTIONS

@@ -5,11 +5,6 @@
 #define NONE UINT16_MAX
 #define COMBINED 10000
 
-static int32_t absolute(int32_t value)
-{
-    return value < 0 ? -value : value;
-}
-
 /* First pair whose separation is not below the bound. */
 static int32_t first_pair(int32_t bound)
 {
@@ -74,7 +69,9 @@ static int32_t catalog_direction(int a, int b)
 /* Whether the angle between two directions of the image is one of the catalogue. */
 static int enclosed(int32_t first, int32_t second, int32_t known)
 {
-    return absolute(tracker_turn_between(absolute(tracker_turn_between(first, second)), known)) <= TRACKER_ENCLOSED_TOLERANCE;
+    const int32_t angle = (int32_t)tracker_magnitude(tracker_turn_between(first, second));
+
+    return tracker_magnitude(tracker_turn_between(angle, known)) <= TRACKER_ENCLOSED_TOLERANCE;
 }
 
 static int enclosed_agree(const struct tracker_context *context, int p, int q, int r, int a, int b, int c)
@@ -102,7 +99,7 @@ static int test_triad(struct tracker_context *context, int first, int p, int q, 
     const int32_t two = tracker_modulo_turn(catalog_direction(a, c) - context->image_direction[p][r]);
     struct tracker_triad *triad;
 
-    if (absolute(tracker_turn_between(one, two)) > TRACKER_ROTATION_TOLERANCE || !enclosed_agree(context, p, q, r, a, b, c))
+    if (tracker_magnitude(tracker_turn_between(one, two)) > TRACKER_ROTATION_TOLERANCE || !enclosed_agree(context, p, q, r, a, b, c))
         return 1;
     if (context->triad_count == TRACKER_MAX_TRIADS)
         return 0;
@@ -267,7 +264,7 @@ static int agree(const struct tracker_context *context, int i, int j)
 
     for (m = 0; m < context->members[i]; m++)
         for (n = 0; n < context->members[j]; n++)
-            if (absolute(tracker_catalog_separation(context->member[i][m], context->member[j][n]) - context->separation[i][j]) <= TRACKER_SEPARATION_TOLERANCE)
+            if (tracker_magnitude(tracker_catalog_separation(context->member[i][m], context->member[j][n]) - context->separation[i][j]) <= TRACKER_SEPARATION_TOLERANCE)
                 return 1;
     return 0;
 }
@@ -340,11 +337,6 @@ struct bench {
     int64_t matrix[3][3];
 };
 
-static int64_t magnitude(int64_t value)
-{
-    return value < 0 ? -value : value;
-}
-
 static void reached(struct tracker_answer *answer, enum tracker_reason reason)
 {
     if (reason > answer->reason)
@@ -397,8 +389,8 @@ static void try_group(struct tracker_context *context, const int32_t xy[][2], in
     reached(answer, TRACKER_WEAK_EVIDENCE);
     same = bench->found;
     for (k = 0; k < 3; k++)
-        if (magnitude(context->fitted[0][k] - bench->matrix[0][k]) > TRACKER_SAME_ROLL
-            || magnitude(context->fitted[2][k] - bench->matrix[2][k]) > TRACKER_SAME)
+        if (tracker_magnitude(context->fitted[0][k] - bench->matrix[0][k]) > TRACKER_SAME_ROLL
+            || tracker_magnitude(context->fitted[2][k] - bench->matrix[2][k]) > TRACKER_SAME)
             same = 0;
     better = !bench->found || context->evidence > bench->evidence;
     if (bench->found && !same) {

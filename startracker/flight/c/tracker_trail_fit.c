@@ -5,7 +5,7 @@
 #define BESIDE (7 << 15)       /* pixels of a fit, from the line and beyond its ends, 16 fraction bits */
 #define BEYOND (4 << 16)
 #define SHORTEST (3 << 16)
-#define LONG (5 << 16)          /* least length of a component that is fitted, and greatest of a trail */
+#define LONG (5 << 16)         /* least length of a component that is fitted */
 #define LONGEST (60 << 16)
 #define STEP (1 << 16)
 #define STRETCH (4 << 16)

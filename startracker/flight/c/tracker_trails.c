@@ -1,4 +1,4 @@
-/* Trails: components above half the threshold, the pixels about them, until they have ended. */
+/* Trails: components above half the threshold and the pixels about them, until they have ended. */
 #include "tracker_front_internal.h"
 
 #define HALF TRACKER_FRONT_HALF
