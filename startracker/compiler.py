@@ -1,8 +1,9 @@
 """Shortcuts through the compiler's own Python code, which takes more time than the optimisation by LLVM.
 
-numba repeats three things for every kernel. `shortcuts` spares the repetition while one of our kernels is compiled, and
-leaves numba as it was for the kernels of others. The machine code is the same, byte by byte
-(``tests/unit/test_compiler.py``). A version of numba without these internals compiles our kernels without the shortcut.
+numba repeats much of its work for every kernel, variable or call. `shortcuts` spares the repetition while one of our
+kernels is compiled, and leaves numba as it was for the kernels of others. The machine code is the same, byte by byte
+(``tests/unit/test_compiler.py``), but for `_light_first_optimisation`, with which the results are the same. A version
+of numba without these internals compiles our kernels without the shortcut.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from numba.core.compiler_lock import global_compiler_lock
 
 __all__ = ["shortcuts"]
 
-Shortcut = tuple[type, str, Callable[..., Any]]
-"""Class, name of a method, and the method in its stead."""
+Shortcut = tuple[Any, str, Callable[..., Any]]
+"""Class or module, name of a method or function, and the one in its stead."""
 
 _VALUES = ("Number", "Boolean", "Array", "BaseTuple", "SliceType", "NoneType")
 """Types of arguments that decide the type of a result alone."""
@@ -90,17 +91,147 @@ def _no_live_variables() -> Shortcut:
     return PostProcessor, "run", run
 
 
-def _one_scope() -> Shortcut:
-    """The scope of variables of a function that is inlined, which numba copies for each block, with all variables."""
-    from numba.core.ir import Scope
+def _no_copies() -> Iterator[Shortcut]:
+    """Blocks and scope of a function that is inlined. numba copies them twice, although it translates the function anew
+    for each place and returns the unchanged copy to nobody."""
+    from numba.core.ir import Block, Scope
 
-    return Scope, "__deepcopy__", lambda self, memo: self
+    for owner in (Block, Scope):
+        yield owner, "__deepcopy__", lambda self, memo: self
 
 
-def _available() -> Iterator[Shortcut]:
-    for shortcut in (_remembered_signatures, _no_live_variables, _one_scope):
+def _renamed_where_used() -> Shortcut:
+    """Renaming of a variable that is assigned more than once, in the statements that use it instead of all."""
+    from numba.core import ssa
+    from numba.core.ir import Assign, Block, Inst, Var
+
+    def used(statement: Any) -> set[str]:
+        read = statement.value if isinstance(statement, Assign) else statement
+        if isinstance(read, Var):
+            return {read.name}
+        return {variable.name for variable in read.list_vars()} if isinstance(read, Inst) else set()
+
+    def run(blocks: dict[int, Any], states: dict[str, Any], handler: Any) -> dict[int, Any]:
+        variable = states["varname"]
+        if isinstance(handler, ssa._FreshVarHandler):
+
+            def concerned(statement: Any) -> bool:
+                return isinstance(statement, Assign) and statement.target.name == variable
+        else:
+            known = vars(handler._cache_list_vars).setdefault("names_used", {})
+
+            def concerned(statement: Any) -> bool:
+                if id(statement) not in known:
+                    known[id(statement)] = used(statement), statement  # the latter keeps its id
+                return variable in known[id(statement)][0]
+
+        rewritten = {}
+        for label, block in blocks.items():
+            states["label"], states["block"] = label, block
+            rewritten[label] = Block(scope=block.scope, loc=block.loc)
+            rewritten[label].body = [
+                (handler.on_assign if isinstance(statement, Assign) else handler.on_other)(states, statement)
+                if concerned(statement)
+                else statement
+                for statement in block.body
+            ]
+        return rewritten
+
+    return ssa, "_run_block_rewrite", run
+
+
+def _variables_of_statements() -> Shortcut:
+    """List of a statement's variables, which each pass asks for, with the frequent types of its values first."""
+    from numba.core.ir import Inst, Loc, Var
+
+    def listed(self: Any, value: Any) -> list[Any]:
+        kind = type(value)
+        if kind is Var:
+            return [value]
+        if kind is Loc or kind is str or value is None:
+            return []
+        if isinstance(value, Inst):
+            return value.list_vars()  # type: ignore[no-any-return]
+        if isinstance(value, dict):
+            value = value.values()
+        elif not isinstance(value, list | tuple):
+            return []
+        found = []
+        for one in value:
+            kind = type(one)
+            if kind is Var:
+                found.append(one)
+            elif not (kind is Loc or kind is str or one is None):
+                found += listed(self, one)
+        return found
+
+    return Inst, "_rec_list_vars", listed
+
+
+def _no_lock_events() -> Iterator[Shortcut]:
+    """Lock around each call of LLVM, without the events from which its time can be measured."""
+    from llvmlite.binding.ffi import _LLVMLock  # type: ignore[import-untyped]
+
+    yield _LLVMLock, "__enter__", lambda self: self._lock.acquire() and None
+    yield _LLVMLock, "__exit__", lambda self, *details: self._lock.release()
+
+
+def _new_declarations_only() -> Shortcut:
+    """Refresh of numba's functions, which precedes each one's implementation, if there are new ones."""
+    from numba.core.base import BaseContext
+
+    refresh = BaseContext.refresh
+    seen: dict[int, int] = {}
+
+    def declared(context: Any) -> int:
+        return sum(
+            len(getattr(registry, kind))
+            for registry, loader in context._registries.items()
+            for kind in loader.registry_items
+        )
+
+    def run(self: Any) -> None:
+        count = declared(self) + declared(self.typing_context)
+        if seen.get(id(self)) != count:
+            refresh(self)
+            seen[id(self)] = declared(self) + declared(self.typing_context)
+
+    return BaseContext, "refresh", run
+
+
+def _light_first_optimisation() -> Shortcut:
+    """Optimisation of each function before those that it calls are inlined, by fewer passes: all follow afterwards."""
+    from numba.core.codegen import CPUCodeLibrary
+
+    def run(self: Any, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+        for function in module.functions:
+            if not function.is_declaration:
+                passes, builder = self._codegen._function_pass_manager(opt=1)
+                passes.run(function, builder)
+
+    return CPUCodeLibrary, "_optimize_functions", run
+
+
+def _available(*found_by: Callable[[], Shortcut | Iterator[Shortcut]]) -> Iterator[Shortcut]:
+    for find in found_by:
         with contextlib.suppress(ImportError, AttributeError):  # another version of numba
-            yield shortcut()
+            found = find()
+            if isinstance(found, tuple):
+                yield found
+            else:
+                yield from found
 
 
-_SHORTCUTS = tuple(_available())
+_SHORTCUTS = tuple(
+    _available(
+        _remembered_signatures,
+        _no_live_variables,
+        _no_copies,
+        _renamed_where_used,
+        _variables_of_statements,
+        _no_lock_events,
+        _new_declarations_only,
+        _light_first_optimisation,
+    )
+)
