@@ -1,5 +1,6 @@
 # make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
 # make test   the tests, in the same environment
+# make test-system    those of C compilers, a browser, notebooks, a cluster and whole studies
 # make test-lowest    smoke tests with the lowest versions of the dependencies that pyproject.toml allows
 # make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
@@ -13,8 +14,8 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-all test-lowest lint docs docs-outputs dist notebooks clean cluster-demo bench bench-identification \
-        bench-frames
+.PHONY: run test test-system test-all test-lowest lint docs docs-outputs dist notebooks clean cluster-demo bench \
+        bench-identification bench-frames
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -22,8 +23,11 @@ run: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
+test-system: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'system and not slow'
+
 # Python's compiled modules are kept even where the environment says otherwise: each process of a test loads them.
-test test-all: export PYTHONDONTWRITEBYTECODE :=
+test test-system test-all: export PYTHONDONTWRITEBYTECODE :=
 
 test-all: $(VENV)/.installed-oracles
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m '' --hypothesis-profile=explore

@@ -35,8 +35,8 @@ from simulator.study.flight.program import frame_bytes, list_text
 from simulator.study.trials.trial import build_tracker
 from startracker import StarTracker
 from startracker.arrays import FloatArray
-from startracker.fixed_point.export_c import CExport
 from startracker.flight.export import flight_export
+from startracker.integer_export import CExport
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 SEED = 25

@@ -27,7 +27,6 @@ from simulator.randomness import stream
 from simulator.study.exported_c.build import Build, compile_export
 from simulator.study.exported_c.centroid_lists import list_text
 from simulator.theses.yee1999.catalogue import sub_catalog
-from startracker.fixed_point.export_c import export_c
 from startracker.identification.integer_solution import (
     MAX_GROUPS,
     MAX_STARS,
@@ -36,6 +35,7 @@ from startracker.identification.integer_solution import (
     IntegerTracker,
 )
 from startracker.identification.triad_search import TriadLimits
+from startracker.integer_export import export_c
 
 WRONG_PX = 4.0
 """Noise of 0.5 px, extrapolated from few stars to the corners, displaces these by at most 2.1 px in 10⁵ fields."""

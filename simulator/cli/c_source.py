@@ -18,7 +18,6 @@ from simulator.randomness import stream
 from simulator.study.exported_c.centroid_lists import centroid_list, list_text
 from simulator.theses.yee1999.catalogue import SubCatalog, sub_catalog
 from startracker.errors import InputError
-from startracker.fixed_point.export_c import export_c
 from startracker.identification.integer_solution import (
     MAX_GROUPS,
     MAX_STARS,
@@ -27,6 +26,7 @@ from startracker.identification.integer_solution import (
     IntegerTracker,
 )
 from startracker.identification.triad_search import TriadLimits
+from startracker.integer_export import export_c
 
 _COMMON = ("out", "prefix", "scenario")
 _OF_SCENARIO = ("set_values", "arithmetic", "identifier")

@@ -11,7 +11,8 @@ from simulator.cli.requests import RunRequest
 from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
 from simulator.cli.verdicts import print_judgement
 from simulator.study.sequence.animation import find_ffmpeg
-from simulator.study.sequence.run import Sequence, run_sequence
+from simulator.study.sequence.result import Sequence
+from simulator.study.sequence.run import run_sequence
 from simulator.study.statistics import AXES, BODY_AXES
 from simulator.study.texts import deg_text
 from startracker.errors import InputError

@@ -1,23 +1,16 @@
-"""Scenarios of the heads: the scenario itself, with the keys that a head overrides."""
+"""The heads of a scenario: the values that each overrides, and their rules."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from simulator.scenario.document import show_value
 from simulator.scenario.errors import Violation, impossible
 from simulator.scenario.fields import Key, all_keys, check_value
+from simulator.scenario.physics import RULES, violations, violations_of
 from simulator.scenario.schema_heads import OVERRIDDEN, HeadSection
-
-if TYPE_CHECKING:
-    from simulator.scenario.load import Scenario
-
-
-def scenario_of_head(scenario: Scenario, head: HeadSection) -> Scenario:
-    """The scenario of one head alone: its mounting and its values of lens, detector and tracker, and no heads."""
-    return scenario.changed(head_values(head) | {"pointing.mounting": head.mounting, "heads": ()})
 
 
 def head_values(head: HeadSection) -> dict[str, Any]:
@@ -46,13 +39,17 @@ def values_of_heads(path: str, v: Mapping[str, Any]) -> Iterator[tuple[str, dict
             yield f"heads[{k}].mounting", {**v, path: head.mounting}
 
 
-def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
+def all_violations(v: Mapping[str, Any]) -> list[Violation]:
+    """All violated rules of a scenario: those of its camera, as from `simulator.scenario.physics.violations`, and those
+    of its heads."""
+    return violations_of((*RULES, _contradictions), v)
+
+
+def _contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     """Violated rules of the ``heads`` section, and invalid values that heads override."""
     heads: tuple[HeadSection, ...] = v["heads"]
     if not heads:
         return
-    from simulator.scenario.physics import violations  # which has these rules among its own
-
     names = [head.name for head in heads]
     alone = {**v, "heads": ()}
     common = set(violations(alone))

@@ -79,7 +79,7 @@ class Scenario(ScenarioModel):
         return self
 
     def _violations(self) -> list[Violation]:
-        return physics.violations(flatten(self))
+        return heads.all_violations(flatten(self))
 
     def _refuses(self, violation: Violation) -> bool:
         return not (violation.overridable and self.allow_unphysical)
@@ -253,7 +253,7 @@ def _build(
     tree = merge(tree, absolute_files(options, ""))
     flat = _check_table(tree, ScenarioModel, "", Location(top.source), problems)
     allowed = flat.get("allow_unphysical", False)
-    for violation in physics.violations(flat):
+    for violation in heads.all_violations(flat):
         if not (violation.overridable and allowed):
             problems.append(Problem(_location_of(tree, violation.key), violation.key, _advice(violation)))
     for path, check in (names or {}).items():

@@ -70,6 +70,12 @@ def yaml_value(value: Any) -> str:
     return '"' + "".join(map(_escaped, text)) + '"'
 
 
+def cell(value: Any) -> Any:
+    """A value of a key for JSON and CSV: numbers and text unchanged, others as YAML."""
+    plain = isinstance(value, (int, float, str)) and not isinstance(value, bool)
+    return value if plain else yaml_value(value)
+
+
 def _escaped(character: str) -> str:
     if character in '"\\':
         return "\\" + character

@@ -8,12 +8,12 @@ that physics is checked and reported together with all other errors.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import timedelta
 from typing import Any
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
-from simulator.scenario import detector_rules, heads, orbit_rules, pointing_rules, sequence_rules
+from simulator.scenario import detector_rules, orbit_rules, pointing_rules, sequence_rules
 from simulator.scenario.errors import Violation, impossible, unphysical
 from simulator.scenario.sequence_rules import EPHEMERIS
 
@@ -46,15 +46,20 @@ Rule = Callable[[Values], Iterator[Violation]]
 
 
 def violations(values: Values) -> list[Violation]:
-    """All violated rules.
+    """All violated rules of a scenario with one camera; those of several heads are in `simulator.scenario.heads`.
 
     Parameters
     ----------
     values : mapping
         Dotted path to value, including defaults; invalid values are omitted, and rules that depend on them skipped.
     """
+    return violations_of(RULES, values)
+
+
+def violations_of(rules: Iterable[Rule], values: Values) -> list[Violation]:
+    """Violations of some rules."""
     found: list[Violation] = []
-    for rule in RULES:
+    for rule in rules:
         try:
             found.extend(rule(values))
         except KeyError:  # an invalid value, reported elsewhere
@@ -310,7 +315,6 @@ RULES: tuple[Rule, ...] = (
     detector_rules.contradictions,
     detector_rules.telegraph_times,
     sequence_rules.contradictions,
-    heads.contradictions,
     _guide_stars,
     _window,
     _least_and_most("sky.magnitude_limit", "sky.faint_magnitude_limit"),

@@ -18,7 +18,6 @@ from startracker._version import __version__
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
-from startracker.fixed_point.export_c import CExport
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants
 from startracker.flight.following import FOLLOWING_MODULES, following_arrays, following_constants, following_tables
@@ -27,6 +26,7 @@ from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants
 from startracker.flight.search_export import search_arrays, search_constants, search_modules
 from startracker.flight.solver import SATURATED_PART, FlightTracker
 from startracker.flight.unit_data import unit_test_data
+from startracker.integer_export import CExport
 
 _INCLUDE = re.compile(r'^#include "(tracker\w*\.h)"', re.MULTILINE)
 _GENERATED = ("tracker_tables.h", "tracker.h")

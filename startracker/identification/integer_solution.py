@@ -3,7 +3,7 @@
 What she left to floating point, the attitude, is in 64-bit integers here. The groups of triads are hypotheses: each of
 the largest is given an attitude, which is checked against all points of the list and all guide stars of the field
 (`startracker.fixed_point.verification`), and is an answer only where chance explains it at the false-alarm rate at
-most. The C that `startracker.fixed_point.export_c` writes gives the same answers bit for bit.
+most. The C that `startracker.integer_export` writes gives the same answers bit for bit.
 """
 
 from __future__ import annotations

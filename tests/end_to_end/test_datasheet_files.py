@@ -19,6 +19,8 @@ from simulator.study.datasheet.sheet import Amounts
 from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted, Task, TaskRunner
 from startracker.arrays import Columns
 
+pytestmark = pytest.mark.system
+
 TINY = Amounts(3, 24, 8, 5, 1, 5, 12, 4, 400)
 REPRODUCED = [name for name in RESULT_FILES if name != "datasheet.timing.json"]
 

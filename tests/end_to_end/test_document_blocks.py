@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from document_blocks import ROOT, blocks, reduced, run_page, workspace
 
+pytestmark = pytest.mark.system
+
 DOCS = ROOT / "docs"
 PAGES = [
     ROOT / "README.md",

@@ -20,7 +20,6 @@ from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.picture import vega
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.export_c import export_c
 from startracker.identification.integer_solution import (
     MAX_GROUPS,
     MAX_STARS,
@@ -32,6 +31,9 @@ from startracker.identification.integer_solution import (
     solve_integers,
 )
 from startracker.identification.triad_search import TriadLimits
+from startracker.integer_export import export_c
+
+pytestmark = pytest.mark.system
 
 SIZE = (427, 319)
 FOV = (9.0130, 6.9049)

@@ -27,6 +27,8 @@ from startracker.flight.export import flight_export
 from startracker.flight.solver import FlightTracker
 from startracker.flight.unit_scenes import SEED, VELOCITY, scene_rows, unit_lists, unit_scenes
 
+pytestmark = pytest.mark.system
+
 COMPILER_CALLS = {"memset", "memcpy", "memmove"}
 """What a compiler may call for an assignment or a loop."""
 CONTEXT_LIMIT = 64 * 1024

@@ -22,6 +22,8 @@ from startracker.flight.stars import StarList
 from startracker.settings import TriadSettings
 from startracker.solution import Status
 
+pytestmark = pytest.mark.system
+
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wshadow", "-O1")
 """-O1: with sanitizers -O2 takes twice as long to compile as to run."""
 CLANG = Target("this machine", "clang-14")

@@ -7,7 +7,7 @@ from benchmarks.integer_lists import PATTERNS, Answer, Scene, errors_px
 from benchmarks.integer_tracker import FIELDS, WRONG_PX, attack_fields, attack_patterns, make_target
 from simulator.study.exported_c.targets import HOST
 
-pytestmark = pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine")
+pytestmark = [pytest.mark.system, pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine")]
 
 
 @pytest.fixture(scope="module")

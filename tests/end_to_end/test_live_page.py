@@ -18,6 +18,8 @@ from simulator import Scenario
 from simulator.live.server import ServerOptions, serving
 from simulator.study.sequence.run import run_sequence
 
+pytestmark = pytest.mark.system
+
 CAMERA = ["detector.width=192", "detector.height=192", "detector.pixel_pitch_um=29", "optics.psf.sigma_px=0.7"]
 SMALL = [*CAMERA, "sequence.step_s=0.25"]
 SETTLED = "!document.querySelector('.slider.busy')"

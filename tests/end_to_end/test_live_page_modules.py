@@ -18,6 +18,8 @@ import simulator.live
 from startracker import Attitude
 from startracker.picture import stretch
 
+pytestmark = pytest.mark.system
+
 PAGE = Path(simulator.live.__file__).parent / "page"
 RANDOM = np.random.default_rng(5)
 DIRECTIONS = RANDOM.normal(size=(300, 3))

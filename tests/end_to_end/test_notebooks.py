@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from run_notebooks import executed, valid
 
+pytestmark = pytest.mark.system
+
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST_BYTES = 1_500_000

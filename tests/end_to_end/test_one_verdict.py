@@ -8,6 +8,8 @@ from simulator.cli import _run
 from simulator.study.datasheet import run as datasheet_run
 from simulator.study.datasheet.sheet import Amounts
 
+pytestmark = pytest.mark.system
+
 CAMERA = """\
 base: cubesat_ideal
 name: judged

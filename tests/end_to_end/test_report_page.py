@@ -18,6 +18,8 @@ from simulator.study.report.page import build_report, html_of
 from simulator.study.report.pdf import pdf_of
 from simulator.study.run import run
 
+pytestmark = pytest.mark.system
+
 HERE = Path(__file__).parent
 SCENARIO = HERE.parents[1] / "scenarios" / "cubesat_ideal.yaml"
 SMALL = ["detector.width=200", "detector.height=200", "detector.pixel_pitch_um=28", "optics.psf.sigma_px=0.7"]

@@ -18,6 +18,8 @@ from simulator.study.trials.blocks import run_block
 from simulator.study.trials.engine import run_trials
 from startracker.errors import InputError
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = Path(__file__).with_name("fake_study.py")
 TRIALS = 1000

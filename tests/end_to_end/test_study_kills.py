@@ -29,6 +29,8 @@ from simulator.study.trials.checked_files import DAMAGED_FOLDER
 from startracker._version import __version__
 from startracker.errors import BoresightError, InputError
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = Path(__file__).with_name("fake_study.py")
 TRIALS = 1200

@@ -23,6 +23,8 @@ from simulator.study.sweep.compare import compare
 from simulator.study.sweep.page import comparison_page, sweep_page
 from simulator.study.sweep.plots import sweep_figures
 
+pytestmark = pytest.mark.system
+
 DIGEST = "0123456789abcdef" * 4
 ORIGIN = {"seed": 1, "version": "1.2.3", "finished_utc": "2026-11-23T04:00:00+00:00"}
 

@@ -19,6 +19,8 @@ from startracker.flight.front_end import front_tables, measure_frame
 from startracker.front_end import Clock, find_stars
 from startracker.given_image import GivenImage
 
+pytestmark = pytest.mark.system
+
 SIDE, PITCH = 480, 30
 NOISE, GAIN, LEVEL = 4.0, 3.3, 80.0
 """DN, electrons a DN, DN."""

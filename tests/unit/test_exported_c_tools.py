@@ -9,7 +9,7 @@ from simulator.study.exported_c.instructions import count_instructions, marked
 from simulator.study.exported_c.stack import deepest_stack
 from simulator.study.exported_c.targets import CORTEX_M4, EMULATED, HOST, M68K, MACHINE
 from startracker.errors import InputError
-from startracker.fixed_point.export_c import CExport
+from startracker.integer_export import CExport
 
 needs_gcc = pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine")
 

@@ -14,8 +14,8 @@ from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
-from startracker.fixed_point.export_c import CExport
 from startracker.identification import METHODS, Observed
+from startracker.integer_export import CExport
 from startracker.solution import Status
 
 CAMERA = Camera.from_fov(12.0, 512, 512)

@@ -7,8 +7,8 @@ import pytest
 from simulator import Scenario
 from simulator.checks import load_scenario
 from simulator.scenario.errors import ScenarioError
-from simulator.scenario.heads import scenario_of_head
 from simulator.scenario.output import json_schema
+from simulator.study.sequence.head_camera import scenario_of_head
 
 HEADS = """base: cubesat_ideal
 name: pair

@@ -25,7 +25,7 @@ from simulator.study.style import SOFT, style
 from startracker._version import __version__
 
 if TYPE_CHECKING:
-    from simulator.study.datasheet.run import Column, Datasheet
+    from simulator.study.datasheet.result import Column, Datasheet
 
 
 def datasheet_pages(sheet: Datasheet) -> tuple[str, bytes]:

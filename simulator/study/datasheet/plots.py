@@ -15,7 +15,7 @@ from simulator.study.style import BLUE, GREEN, ORANGE, SOFT, VERMILION, Panel
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from simulator.study.datasheet.run import Column
+    from simulator.study.datasheet.result import Column
 
 LOOKS = ((BLUE, "o", "-"), (ORANGE, "s", "--"))
 """Colour, marker and line of each stage of life."""

@@ -13,7 +13,7 @@ from simulator.study.html_page import Table
 from simulator.study.statistics import CAMERA_AXES
 
 if TYPE_CHECKING:
-    from simulator.study.datasheet.run import Column
+    from simulator.study.datasheet.result import Column
 
 UNITS = {"arcsec": "″", "deg": "°", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
 UNBROKEN = "\N{NO-BREAK SPACE}"

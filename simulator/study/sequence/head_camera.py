@@ -13,7 +13,7 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import seed_of, stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.scenario.heads import scenario_of_head
+from simulator.scenario.heads import head_values
 from simulator.scenario.schema import HeadSection
 from simulator.study.sequence.columns import NO_FRAME, camera_error_deg, error_columns, is_wrong_attitude
 from simulator.study.specification.requirements import specification_of
@@ -23,6 +23,11 @@ from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import Head
 from startracker.solution import Solution
+
+
+def scenario_of_head(scenario: Scenario, head: HeadSection) -> Scenario:
+    """The scenario of one head alone: its mounting and its values of lens, detector and tracker, and no heads."""
+    return scenario.changed(head_values(head) | {"pointing.mounting": head.mounting, "heads": ()})
 
 
 class BodyState(NamedTuple):

@@ -16,7 +16,7 @@ from simulator.study.statistics import AXES
 from simulator.study.texts import deg_text
 
 if TYPE_CHECKING:
-    from simulator.study.sequence.run import Sequence
+    from simulator.study.sequence.result import Sequence
 
 _LARGEST_GIF_BYTES = 12_000_000
 """A larger animation remains a separate file."""

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from simulator.mission.spice import need_spiceypy
 from simulator.scenario import Scenario
-from simulator.study.data_frames import Rows
 from simulator.study.result_files import json_text, now_utc, parquet_bytes, write_files
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
@@ -22,14 +17,12 @@ from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.heads import HeadsRunner
 from simulator.study.sequence.messages import sequence_kernels, sequence_messages, state_columns
 from simulator.study.sequence.operation import summarise_operation
+from simulator.study.sequence.result import Sequence
 from simulator.study.sequence.statistics import fused_nees, summarise_heads, summarise_sequence
-from simulator.study.specification.measured import judge_frames
-from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import median
-from simulator.study.trials.arrow import as_array, table_of
+from simulator.study.trials.arrow import table_of
 from simulator.study.trials.stopping import stop_on_signal
 from startracker._version import __version__
-from startracker.display import described
 from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
 
@@ -48,43 +41,6 @@ class _Asked(NamedTuple):
 
 _FLUSH_FRAMES = 500
 """Rows are stored as columns in chunks of this size, to limit memory."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sequence(Rows):
-    """Result of a sequence."""
-
-    scenario: Scenario
-    """The scenario."""
-    frames: pa.Table
-    """One row per frame."""
-    summary: dict[str, Any]
-    """What ``sequence.json`` holds."""
-    folder: Path | None = None
-    """Folder of the files."""
-    files: tuple[str, ...] = ()
-    """Names of the files."""
-
-    def _table(self) -> pa.Table:
-        return self.frames
-
-    def _meta(self) -> dict[str, Any]:
-        return {"name": self.scenario.name, "seed": self.scenario.seed, "version": __version__}
-
-    def __repr__(self) -> str:
-        solved = int(np.count_nonzero(as_array(self.frames["status"]) == "solved"))
-        counts = f"{self.frames.num_rows} frames, {solved} solved"
-        return described("Sequence", self.scenario.name, counts, str(self.folder or ""))
-
-    @cached_property
-    def judgement(self) -> Judgement:
-        """Verdicts on the scenario's specification, with the effective number of independent frames."""
-        return judge_frames(self.scenario, self.columns, self.scenario.sequence.step_s)
-
-    @property
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """Columns of the frames as arrays."""
-        return {name: as_array(self.frames[name]) for name in self.frames.column_names}
 
 
 def run_sequence(

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from simulator.paths import make_folder, open_atomically, write_atomically
 from simulator.scenario import Scenario
 from simulator.scenario.grid import SweptKey
-from simulator.scenario.output import yaml_value
+from simulator.scenario.output import cell
 from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
 from simulator.study.result_files import parquet_bytes
 from simulator.study.specification.measured import JUDGED_COLUMNS, judge_frames
@@ -131,9 +131,3 @@ def points_csv(table: dict[str, Any]) -> str:
             ]
         )
     return text.getvalue()
-
-
-def cell(value: Any) -> Any:
-    """A value of a key for JSON and CSV: numbers and text unchanged, others as YAML."""
-    plain = isinstance(value, (int, float, str)) and not isinstance(value, bool)
-    return value if plain else yaml_value(value)

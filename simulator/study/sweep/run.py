@@ -24,6 +24,7 @@ from simulator.paths import make_folder, write_atomically
 from simulator.randomness import stream
 from simulator.scenario import Scenario, ScenarioError
 from simulator.scenario.grid import SweptKey, grid, latin_hypercube, overrides, parse_swept_keys
+from simulator.scenario.output import cell
 from simulator.study.data_frames import Rows
 from simulator.study.result_files import now_utc
 from simulator.study.results_folder import (
@@ -38,7 +39,7 @@ from simulator.study.results_folder import (
 )
 from simulator.study.specification.requirements import specification_of
 from simulator.study.specification.verdicts import frames_needed
-from simulator.study.sweep.files import cell, point_files, write_point, write_results
+from simulator.study.sweep.files import point_files, write_point, write_results
 from simulator.study.trials.arrow import read_columns
 from simulator.study.trials.checked_files import fault_of, set_aside
 from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials

@@ -31,7 +31,6 @@ from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.attitude import IntegerAttitude, NotSolved, plate_attitude
 from startracker.fixed_point.centroid import running_centroid
-from startracker.fixed_point.export_c import CExport, export_c
 from startracker.fixed_point.formats import CENTROID, Integers
 from startracker.fixed_point.tables import enclosed_table
 from startracker.identification.integer_solution import (
@@ -45,6 +44,7 @@ from startracker.identification.integer_solution import (
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
+from startracker.integer_export import CExport, export_c
 from startracker.kernels import clock
 
 _FIELDS = 80

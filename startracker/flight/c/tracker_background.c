@@ -221,6 +221,13 @@ static uint16_t without(uint16_t value, int32_t rise)
     return value < TRACKER_FRONT_SATURATION ? (uint16_t)positive((int64_t)value - rise, most) : value;
 }
 
+int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row)
+{
+    int32_t x = candidate->x + column - TRACKER_FRONT_HALF, y = candidate->y + row - TRACKER_FRONT_HALF;
+
+    return x >= 0 && x < TRACKER_WIDTH && y >= 0 && y < TRACKER_HEIGHT;
+}
+
 void tracker_front_level(const struct tracker_front_rows *rows, int cell, struct tracker_front_candidate *candidate)
 {
     const int32_t *level = rows->line.level;

@@ -34,4 +34,18 @@ int tracker_turn(struct tracker_matrix *attitude, int64_t x, int64_t y, int64_t 
 /* Unit quaternion of 2.30, scalar last and not negative. */
 void tracker_quaternion_of(const struct tracker_matrix *attitude, int32_t quaternion[4]);
 
+static inline void tracker_to_array(const struct tracker_vector *v, int64_t out[3])
+{
+    out[0] = v->x;
+    out[1] = v->y;
+    out[2] = v->z;
+}
+
+static inline void tracker_to_vector(const int64_t v[3], struct tracker_vector *out)
+{
+    out->x = (int32_t)v[0];
+    out->y = (int32_t)v[1];
+    out->z = (int32_t)v[2];
+}
+
 #endif

@@ -13,6 +13,7 @@ int tracker_front_cell(int32_t x);                                              
 int32_t tracker_front_between(const int32_t *knots, int cell, int32_t x);
 void tracker_front_level(const struct tracker_front_rows *rows, int cell,
                          struct tracker_front_candidate *candidate); /* removes the background's slope from its stamp */
+int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row);
 
 /* tracker_hot_pixels.c */
 void tracker_front_bridge_row(struct tracker_front_rows *rows, int32_t y); /* rows up to y - 1 are then without hot pixels */
@@ -30,8 +31,6 @@ void tracker_front_principal(const int32_t moments[3], int32_t axes[2]); /* the 
 /* tracker_stamps.c */
 void tracker_front_shapes(struct tracker_front *front);
 int tracker_front_boxed(const struct tracker_front_candidate *candidate, const struct tracker_front_object *object);
-int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row);
-
 int tracker_front_look_trailed(const struct tracker_front *front); /* whether most candidates are long */
 
 /* tracker_trails.c */

@@ -75,13 +75,6 @@ static int is_highest(struct tracker_front_rows *rows, int32_t x, int32_t y, int
 
 /* ------------------------------------------------------------------ candidates */
 
-int tracker_front_inside(const struct tracker_front_candidate *candidate, int column, int row)
-{
-    int32_t x = candidate->x + column - HALF, y = candidate->y + row - HALF;
-
-    return x >= 0 && x < TRACKER_WIDTH && y >= 0 && y < TRACKER_HEIGHT;
-}
-
 static void copy_stamp(struct tracker_front_rows *rows, struct tracker_front_candidate *candidate)
 {
     int i, j;

@@ -2,6 +2,7 @@
 #ifndef TRACKER_SEARCH_H
 #define TRACKER_SEARCH_H
 
+#include "tracker_directions.h"
 #include "tracker_hypotheses.h"
 #include "tracker_integers.h"
 #include "tracker_types.h"
@@ -116,20 +117,6 @@ int tracker_pair_attitude(const struct tracker_search *search, const int star[2]
 int64_t tracker_gate_of(int64_t variance, const int32_t *row);
 /* Whether a guide star can be where a star is, according to the prior. */
 int tracker_fits_prior(const struct tracker_search *search, int star, int guide, const int32_t *row);
-
-static inline void tracker_to_array(const struct tracker_vector *v, int64_t out[3])
-{
-    out[0] = v->x;
-    out[1] = v->y;
-    out[2] = v->z;
-}
-
-static inline void tracker_to_vector(const int64_t v[3], struct tracker_vector *out)
-{
-    out->x = (int32_t)v[0];
-    out->y = (int32_t)v[1];
-    out->z = (int32_t)v[2];
-}
 
 /* Column of the grid of a coordinate, 2.30. */
 static inline int tracker_column_of(int64_t coordinate)

@@ -1,6 +1,5 @@
 /* Verification of an attitude against all stars and all guide stars of the field: the same operations as
  * startracker/flight/verifying.py, which explains them. */
-#include "tracker_directions.h"
 #include "tracker_integers.h"
 #include "tracker_search.h"
 

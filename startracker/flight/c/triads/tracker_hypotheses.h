@@ -40,7 +40,7 @@ struct tracker_search;
 
 /* tracker_triad_votes.c: groups the triads, and tries the attitudes of the largest groups. */
 void tracker_try_groups(struct tracker_search *search, int stars, const int32_t *row);
-/* tracker_triads.c: whether two guide stars are as far apart as two stars. */
+/* Whether two guide stars are as far apart as two stars. */
 int tracker_as_long(const struct tracker_search *search, int side, int a, int b, int32_t sides);
 
 #endif

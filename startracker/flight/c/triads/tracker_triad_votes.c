@@ -3,6 +3,19 @@
 #include "tracker_integers.h"
 #include "tracker_search.h"
 
+int tracker_as_long(const struct tracker_search *search, int side, int a, int b, int32_t sides)
+{
+    const int64_t chord = search->chord[side], allowed = tracker_tolerance(search, side, sides);
+    const int64_t low = chord > allowed ? chord - allowed : 0, high = chord + allowed;
+    int64_t square = 0;
+    int k;
+
+    for (k = 0; k < 3; k++) {
+        const int64_t apart = (int64_t)tracker_guide_direction[a][k] - tracker_guide_direction[b][k];
+        square += apart * apart;
+    }
+    return square >= low * low && square <= high * high;
+}
 
 /* Group of a rotation: the first whose running mean is near, or a new one; -1: there is no room for it. */
 static int group_of(struct tracker_source *source, int32_t rotation)

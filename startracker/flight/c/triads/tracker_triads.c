@@ -16,20 +16,6 @@ static void guide_vector(int guide, int64_t out[3])
         out[k] = tracker_guide_direction[guide][k];
 }
 
-int tracker_as_long(const struct tracker_search *search, int side, int a, int b, int32_t sides)
-{
-    const int64_t chord = search->chord[side], allowed = tracker_tolerance(search, side, sides);
-    const int64_t low = chord > allowed ? chord - allowed : 0, high = chord + allowed;
-    int64_t square = 0;
-    int k;
-
-    for (k = 0; k < 3; k++) {
-        const int64_t apart = (int64_t)tracker_guide_direction[a][k] - tracker_guide_direction[b][k];
-        square += apart * apart;
-    }
-    return square >= low * low && square <= high * high;
-}
-
 /* Direction of the line from a star to another in the tangent plane, from x over the image's upper edge, 10.6. */
 static int32_t image_bearing(const int64_t p[3], const int64_t q[3])
 {

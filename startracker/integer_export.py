@@ -1,6 +1,6 @@
 """Export of the integer tracker as C99 source: constant tables and the algorithm (Yee 1999, section 4.2.5).
 
-`export_c` returns the files: the C sources of ``c/`` with prefixed names, ``<prefix>_tables.h`` and
+`export_c` returns the files: the C sources of ``fixed_point/c/`` with prefixed names, ``<prefix>_tables.h`` and
 ``<prefix>_tables.c`` with the tables of one camera, sub-catalogue and set of thresholds, a ``main.c`` and a Makefile.
 Every buffer has a fixed size, the maximum that these tables require. Only the number of triads that pass all tests can
 exceed its buffer, which gives a status.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,11 +22,9 @@ from startracker.fixed_point.cordic import STEPS_DEG
 from startracker.fixed_point.formats import SEPARATION, integers
 from startracker.fixed_point.square_root import CROSSOVER
 from startracker.fixed_point.tables import arccosine_table, cosine_table, quadrant_table
-
-if TYPE_CHECKING:
-    from startracker.identification.integer_solution import IntegerTracker
-    from startracker.identification.triad_search import TriadLimits
-    from startracker.identification.triad_tables import TriadTables
+from startracker.identification.integer_solution import IntegerTracker
+from startracker.identification.triad_search import TriadLimits
+from startracker.identification.triad_tables import TriadTables
 
 MODULES = ("integers", "cordic", "separations", "attitude", "verification", "triads")
 """Modules of the solver that do not depend on the camera: ``<prefix>_<module>.c``."""
