@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from startracker.arrays import FloatArray
 from startracker.errors import FrameMismatchError, InputError
 from startracker.interop import plain, rotation_quat, skycoord_deg
+from startracker.records import made
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 _UNIT = 4.0 * np.finfo(float).eps
@@ -144,7 +145,9 @@ class Attitude:
         m = np.asarray(matrix, dtype=float)
         if m.shape != (3, 3) or not _is_rotation(m):
             raise InputError("an attitude matrix must be 3×3 and orthogonal, with determinant +1")
-        return cls(matrix_to_quat(m), source, target)
+        quat = matrix_to_quat(m)  # normalised
+        quat.setflags(write=False)
+        return made(cls, quat=quat, source=source, target=target)
 
     @classmethod
     def from_radec_roll(cls, ra_deg: float, dec_deg: float, roll_deg: float = 0.0) -> Attitude:

@@ -95,7 +95,7 @@ def next_verified(
     """
     least_cosine = 1.0 - 0.5 * (_SAME_SIGMAS * limits.scale * stars.sigma[0]) ** 2
     scale, free, at = max(limits.scale, _VERIFY_FROM), limits.focal_range > 0.0, start
-    found = Verified(-np.inf, np.empty((3, 3)), 0.0, scale, 0, np.empty(0, np.int64), 0)
+    found = Verified(-np.inf, np.empty((3, 3)), 0.0, scale, 0, np.empty((0, 2), np.int64), 0)
     while at < len(candidates.focal) and work <= limits.work and not found.log_b > _LEAST_LOG_B:
         at, matrix, taken = next_confirmed(candidates, at, stars, sky, confirmation, limits.work - work)
         work += taken
