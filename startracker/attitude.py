@@ -124,6 +124,10 @@ class Attitude:
     def __post_init__(self) -> None:
         quat = np.array(self.quat, dtype=float)
         x, y, z, w = quat.tolist() if quat.shape == (4,) else (math.nan,) * 4
+        if w >= 0.0 and abs(x * x + y * y + z * z + w * w - 1.0) <= _UNIT:  # as nearly all are
+            quat.setflags(write=False)
+            object.__setattr__(self, "quat", quat)
+            return
         largest = max(abs(x), abs(y), abs(z), abs(w))
         finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z) and math.isfinite(w)
         if not (finite and largest > 0):
