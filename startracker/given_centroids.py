@@ -65,7 +65,7 @@ def stated_variance(sigma_px: ArrayLike | None, given: int, rows: IntArray) -> F
         raise InputError("sigma_px must be numbers: the standard error of each centroid on one axis, pixels") from None
     if sigma.shape not in ((), (given,)):
         raise InputError(f"there are {given} centroids, but sigma_px has the shape {sigma.shape}")
-    if np.count_nonzero((sigma > 0.0) & (sigma < math.inf)) < sigma.size:
+    if sigma.size and not (sigma.min() > 0.0 and sigma.max() < math.inf):  # NaN, too
         raise InputError("sigma_px must be positive and finite, pixels")
     chosen: FloatArray = sigma[rows] if sigma.ndim else np.full(len(rows), sigma)
     return chosen * chosen

@@ -338,8 +338,9 @@ class StarTracker:
         clock: Clock,
     ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
-        sigma_px = np.full(len(used), np.nan)
-        if measured.variance_px2 is not None:
+        if measured.variance_px2 is None:
+            sigma_px = np.full(len(used), np.nan)
+        else:
             floor_px = guide.catalog.position_sigma_rad / self.camera.pixel_rad
             sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
         stars = made(

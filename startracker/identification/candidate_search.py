@@ -118,7 +118,7 @@ class Verifier:
 
     def __init__(self, pool: HypothesisPool, guide: GuideDatabase, stars: Stars) -> None:
         self.pool, self._sky, self._stars = pool, guide.view, stars
-        self._known = np.empty((0, 3, 3))
+        self._known, self._latest = np.empty((0, 3, 3)), list[FloatArray]()
 
     def map_sky(self, effort: Effort, many: int, lever: float) -> None:
         """Make an occupancy map once there were many candidates, for stars whose position has an error of `lever` times
@@ -135,11 +135,13 @@ class Verifier:
         effort.found += len(candidates.focal)
         at, confirmation = 0, effort.confirmation
         while at < len(candidates.focal) and not effort.ended:
+            if self._latest:
+                self._known, self._latest = np.concatenate([self._known, *self._latest]), []
             at, found, effort.work = next_verified(
                 candidates, at, self._known, self._stars, self._sky, confirmation, effort.limits, effort.work
             )
             if found.log_b > _LEAST_LOG_B:
-                self._known = np.concatenate([self._known, found.matrix[None]])
+                self._latest.append(found.matrix[None])
                 effort.kept += 1
                 self.pool.add(hypothesis_of(found))
                 effort.decided |= found.log_b > self.pool.decisive_evidence
