@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from startracker.arrays import FloatArray
 from startracker.errors import FrameMismatchError, InputError
 from startracker.interop import plain, rotation_quat, skycoord_deg
+from startracker.records import made
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 _UNIT = 4.0 * np.finfo(float).eps
@@ -123,6 +124,10 @@ class Attitude:
     def __post_init__(self) -> None:
         quat = np.array(self.quat, dtype=float)
         x, y, z, w = quat.tolist() if quat.shape == (4,) else (math.nan,) * 4
+        if w >= 0.0 and abs(x * x + y * y + z * z + w * w - 1.0) <= _UNIT:  # as nearly all are
+            quat.setflags(write=False)
+            object.__setattr__(self, "quat", quat)
+            return
         largest = max(abs(x), abs(y), abs(z), abs(w))
         finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z) and math.isfinite(w)
         if not (finite and largest > 0):
@@ -144,7 +149,9 @@ class Attitude:
         m = np.asarray(matrix, dtype=float)
         if m.shape != (3, 3) or not _is_rotation(m):
             raise InputError("an attitude matrix must be 3×3 and orthogonal, with determinant +1")
-        return cls(matrix_to_quat(m), source, target)
+        quat = matrix_to_quat(m)  # normalised
+        quat.setflags(write=False)
+        return made(cls, quat=quat, source=source, target=target)
 
     @classmethod
     def from_radec_roll(cls, ra_deg: float, dec_deg: float, roll_deg: float = 0.0) -> Attitude:

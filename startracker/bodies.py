@@ -15,7 +15,7 @@ from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEE
 from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.kernels import kernel
-from startracker.observer import Observer, aberrate
+from startracker.observer import Observer
 
 _NAIF = {
     "Mercury": (1, 199),
@@ -31,7 +31,7 @@ _NAIF = {
 }
 """Path of each body from the barycentre of the solar system in DE421's numbers; Moon and Earth are the last."""
 _FROM_ANYWHERE, _FROM_EARTH, _EARTH = tuple(_NAIF)[:-1], tuple(_NAIF)[:-2], len(_NAIF) - 1
-_NOWHERE = np.full(3, np.nan)
+_NOWHERE, _AT_REST = np.full(3, np.nan), np.zeros(3)
 _STEP_DAYS = 0.5
 """Step of the table: a cubic through positions and velocities is within 0.2 km of the Moon and 4 km of Mercury."""
 _TABLE_DAYS = 366.0
@@ -87,10 +87,8 @@ def _directions(observer: Observer) -> tuple[tuple[str, ...], FloatArray]:
     here, names = observer.position_au, _FROM_ANYWHERE
     if here is None:
         here, names = _NOWHERE, _FROM_EARTH
-    directions = _directions_from(here, table[int(node) : int(node) + 2], u, len(names))
-    if observer.velocity_km_s is not None:
-        directions = aberrate(directions, observer.velocity_km_s)
-    return names, directions
+    beta = _AT_REST if observer.velocity_km_s is None else observer.velocity_km_s / SPEED_OF_LIGHT_KM_S
+    return names, _directions_from(here, beta, table[int(node) : int(node) + 2], u, len(names))
 
 
 def seen_bodies(
@@ -157,8 +155,9 @@ def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: 
 
 
 @kernel
-def _directions_from(here: FloatArray, nodes: FloatArray, u: float, bodies: int) -> FloatArray:
-    """Unit vectors, ICRF axes, (bodies, 3), from a barycentric position (3,), au; NaN: from the Earth.
+def _directions_from(here: FloatArray, beta: FloatArray, nodes: FloatArray, u: float, bodies: int) -> FloatArray:
+    """Unit vectors, ICRF axes, (bodies, 3), from a barycentric position (3,), au; NaN: from the Earth; with aberration
+    (`startracker.observer.aberrate`) for a velocity in units of that of light (3,).
 
     `nodes` (2, 2, 10, 3) are two successive rows of `_table`: positions and velocities at the date `u` steps after the
     first are those of a cubic, and light time is to first order.
@@ -173,11 +172,17 @@ def _directions_from(here: FloatArray, nodes: FloatArray, u: float, bodies: int)
             slope = change + (1.0 - u) * (1.0 - 3.0 * u) * left - u * (2.0 - 3.0 * u) * right
             velocity[body, axis] = slope / _STEP_DAYS
     start = position[_EARTH] if math.isnan(here[0]) else here
+    inverse_gamma = math.sqrt(1.0 - (beta[0] ** 2 + beta[1] ** 2 + beta[2] ** 2))
     for body in range(bodies):
         x, y, z = position[body, 0] - start[0], position[body, 1] - start[1], position[body, 2] - start[2]
         light_days = math.sqrt(x * x + y * y + z * z) / _LIGHT_DAY_AU
         x, y = x - velocity[body, 0] * light_days, y - velocity[body, 1] * light_days
         z -= velocity[body, 2] * light_days
+        length = math.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
+        share = 1.0 + (x * beta[0] + y * beta[1] + z * beta[2]) / (1.0 + inverse_gamma)
+        x, y = x * inverse_gamma + beta[0] * share, y * inverse_gamma + beta[1] * share
+        z = z * inverse_gamma + beta[2] * share
         length = math.sqrt(x * x + y * y + z * z)
         out[body, 0], out[body, 1], out[body, 2] = x / length, y / length, z / length
     return out

@@ -2,8 +2,8 @@
 
 numba repeats much of its work for every kernel, variable or call. `shortcuts` spares the repetition while one of our
 kernels is compiled, and leaves numba as it was for the kernels of others. The machine code is the same, byte by byte
-(``tests/unit/test_compiler.py``), but for `_light_first_optimisation`, with which the results are the same. A version
-of numba without these internals compiles our kernels without the shortcut.
+(``tests/unit/test_compiler.py``), but for `_light_first_optimisation` and `_classes_by_constant`, with which the
+results are the same. A version of numba without these internals compiles our kernels without the shortcut.
 """
 
 from __future__ import annotations
@@ -199,6 +199,37 @@ def _new_declarations_only() -> Shortcut:
     return BaseContext, "refresh", run
 
 
+def _classes_by_constant() -> Iterator[Shortcut]:
+    """Class of each returned array and named tuple, from the constants of the kernel; numba calls a Python function to
+    look it up, which takes 0.3 µs each time."""
+    from numba.core.pythonapi import PythonAPI
+
+    box, serialize, unserialize = PythonAPI.from_native_value, PythonAPI.serialize_object, PythonAPI.unserialize
+
+    def from_native_value(self: Any, typ: Any, val: Any, env_manager: Any = None) -> Any:
+        if env_manager is not None and env_manager.pyapi is self:
+            self.constants, self.classes = env_manager, {}
+        return box(self, typ, val, env_manager)
+
+    def serialize_object(self: Any, thing: Any) -> Any:
+        pointer = serialize(self, thing)
+        if isinstance(thing, type) and hasattr(self, "classes"):
+            self.classes[pointer] = thing
+        return pointer
+
+    def run(self: Any, pointer: Any) -> Any:
+        thing = getattr(self, "classes", {}).get(pointer)
+        if thing is None:
+            return unserialize(self, pointer)
+        found = self.constants.read_const(self.constants.add_const(thing))
+        self.incref(found)
+        return found
+
+    yield PythonAPI, "from_native_value", from_native_value
+    yield PythonAPI, "serialize_object", serialize_object
+    yield PythonAPI, "unserialize", run
+
+
 def _light_first_optimisation() -> Shortcut:
     """Optimisation of each function before those that it calls are inlined, by fewer passes: all follow afterwards."""
     from numba.core.codegen import CPUCodeLibrary
@@ -232,6 +263,7 @@ _SHORTCUTS = tuple(
         _variables_of_statements,
         _no_lock_events,
         _new_declarations_only,
+        _classes_by_constant,
         _light_first_optimisation,
     )
 )

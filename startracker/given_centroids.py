@@ -11,10 +11,12 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.errors import InputError
 from startracker.kernels import kernel
+from startracker.sorting import order_of_columns
 from startracker.survey import plain
 
 SAME_STAR_PX = 0.75
 """Two centroids closer than this are taken as the same star, detected twice."""
+_NO_FLUX = np.empty(0)
 
 
 def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:
@@ -32,28 +34,18 @@ def usable_centroids(
     """
     try:
         points = np.array(plain(xy), dtype=float, order="C")
-        signal = None if flux is None else np.asarray(plain(flux), dtype=float).reshape(-1)
+        signal = _NO_FLUX if flux is None else np.array(plain(flux), dtype=float).reshape(-1)
     except (TypeError, ValueError):
         raise InputError("centroids and fluxes must be numbers: xy with the shape (N, 2), flux with (N,)") from None
     if points.size == 0:
         points = points.reshape(0, 2)
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
-    if signal is not None and len(signal) != len(points):
+    if flux is not None and len(signal) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
-    rows = _on_image(points, camera.width, camera.height)
-    if signal is not None:
-        signal = signal[rows]
-        good = (signal > 0.0) & (signal < math.inf)
-        usable = np.count_nonzero(good)
-        if usable < len(good):
-            signal = np.where(good, signal, signal[good].min() * 0.5) if usable else None
-    if signal is not None:  # ties are broken by position, so that the order of the input does not matter
-        order = np.lexsort((points[rows, 0], points[rows, 1], -signal))
-        rows, signal = rows[order], signal[order]
-    points = points[rows]
-    alone = _first_of_each(points)
-    return points[alone], None if signal is None else signal[alone], rows[alone]
+    usable, brightness, rows = _usable(points, signal, camera.width, camera.height)
+    known = flux is not None and len(brightness) == len(rows)
+    return usable, brightness if known else None, rows
 
 
 def stated_variance(sigma_px: ArrayLike | None, given: int, rows: IntArray) -> FloatArray | None:
@@ -73,28 +65,49 @@ def stated_variance(sigma_px: ArrayLike | None, given: int, rows: IntArray) -> F
         raise InputError("sigma_px must be numbers: the standard error of each centroid on one axis, pixels") from None
     if sigma.shape not in ((), (given,)):
         raise InputError(f"there are {given} centroids, but sigma_px has the shape {sigma.shape}")
-    if np.count_nonzero((sigma > 0.0) & (sigma < math.inf)) < sigma.size:
+    if sigma.size and not (sigma.min() > 0.0 and sigma.max() < math.inf):  # NaN, too
         raise InputError("sigma_px must be positive and finite, pixels")
     chosen: FloatArray = sigma[rows] if sigma.ndim else np.full(len(rows), sigma)
     return chosen * chosen
 
 
 @kernel
-def _on_image(points: FloatArray, width: int, height: int) -> IntArray:
-    """Rows (M,) of the points (N, 2) on the image, as `Camera.contains`; none is infinite or NaN."""
-    rows, count = np.empty(len(points), np.int64), 0
+def _usable(points: FloatArray, flux: FloatArray, width: int, height: int) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Usable points (M, 2) of all (N, 2), their flux, empty if none is positive, and rows: on the image as in
+    `Camera.contains`, brightest first, without duplicates."""
+    rows, count, faintest = np.empty(len(points), np.int64), 0, math.inf
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]
-        rows[count] = n
-        count += -0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5
-    return rows[:count]
+        if -0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5:
+            rows[count] = n
+            count += 1
+            if len(flux) > 0 and flux[n] > 0.0:
+                faintest = min(faintest, flux[n])
+    sorts, keys = faintest < math.inf, np.empty((3, count))
+    for k in range(count):
+        value = flux[rows[k]] if sorts else 0.0
+        keys[0, k] = -value if 0.0 < value < math.inf else -0.5 * faintest
+        keys[1, k], keys[2, k] = points[rows[k], 1], points[rows[k], 0]
+    # ties are broken by position, so that the order of the input does not matter
+    order, xy = order_of_columns(keys) if sorts else np.arange(count), np.empty((count, 2))
+    for k in range(count):
+        xy[k, 0], xy[k, 1] = keys[2, order[k]], keys[1, order[k]]
+    alone, signal, chosen, left = _first_of_each(xy), np.empty(count), np.empty(count, np.int64), 0
+    for k in range(count):
+        if alone[k]:
+            xy[left, 0], xy[left, 1] = xy[k, 0], xy[k, 1]
+            signal[left], chosen[left] = -keys[0, order[k]], rows[order[k]]
+            left += 1
+    return xy[:left], signal[: left if sorts else 0], chosen[:left]
 
 
 @kernel
 def _first_of_each(points: FloatArray) -> NDArray[np.bool_]:
     """Mask (N,) of points without an earlier point within `SAME_STAR_PX` on both axes."""
-    alone = np.ones(len(points), np.bool_)
-    order = np.argsort(points[:, 0])
+    alone, x = np.ones(len(points), np.bool_), np.empty((1, len(points)))
+    for n in range(len(points)):
+        x[0, n] = points[n, 0]
+    order = order_of_columns(x)
     for first in range(len(points)):  # sorted by x, so that neighbours in x follow
         i = order[first]
         for second in range(first + 1, len(points)):

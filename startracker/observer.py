@@ -17,8 +17,10 @@ from startracker.interop import is_time, julian_year, plain
 
 EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
 """Orbital speed of the Earth, and of a satellite in a low Earth orbit."""
-_OBLIQUITY_RAD = np.radians(23.4393)
-_ECLIPTIC_POLE = np.array([0.0, -np.sin(_OBLIQUITY_RAD), np.cos(_OBLIQUITY_RAD)])
+_OBLIQUITY_RAD = math.radians(23.4393)
+_POLE_Y, _POLE_Z = -math.sin(_OBLIQUITY_RAD), math.cos(_OBLIQUITY_RAD)
+"""Ecliptic pole; its x is 0."""
+_EARTH_PART, _ORBIT_PART = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
 _FASTEST_KM_S, _FARTHEST_AU, _LONGEST_YEARS = 1000.0, 1000.0, 10_000
 """Upper limits: the fastest spacecraft passed the Sun at 192 km/s, the most distant is at 170 au."""
 
@@ -154,10 +156,12 @@ def unknown_aberration(matrix: FloatArray) -> FloatArray:
     motion. Its direction in the ecliptic is unknown: the covariance of β is (β_E²/2) (I − n nᵀ), with the ecliptic pole
     n. An Earth orbit adds (β_o²/3) I.
     """
-    x, y, _ = (matrix @ _ECLIPTIC_POLE).tolist()
-    earth, orbit = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
-    total, together = earth + orbit, earth * (x * y)
-    return np.array([[total - earth * (y * y), together, 0.0], [together, total - earth * (x * x), 0.0], [0.0] * 3])
+    (_, a, b), (_, c, d), _ = matrix.tolist()
+    x, y = a * _POLE_Y + b * _POLE_Z, c * _POLE_Y + d * _POLE_Z
+    total, out = _EARTH_PART + _ORBIT_PART, np.zeros((3, 3))
+    out[0, 0], out[1, 1] = total - _EARTH_PART * (y * y), total - _EARTH_PART * (x * x)
+    out[0, 1] = out[1, 0] = _EARTH_PART * (x * y)
+    return out
 
 
 def corrects_aberration(observer: Observer | None) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -35,10 +34,11 @@ from startracker.estimation.pose import (
 )
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
-from startracker.image_map import ImageMap, pixel_slopes, to_pixels
+from startracker.image_map import CX, HEIGHT, WIDTH, ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import cross, solve, turned
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
+from startracker.records import made
 from startracker.sorting import median
 
 _FEWEST_TO_REJECT = 4
@@ -54,6 +54,12 @@ RATE_SIGMA_RAD_S = math.radians(2.0)
 """Assumed standard deviation of an unknown body rate about each axis."""
 EPOCH_SIGMA_YR = 30.0
 """Assumed interval between the catalogue's epoch and a frame of unknown time, years."""
+_EXTRA_SIGMA = {
+    (rolls, moves): np.array([RATE_SIGMA_RAD_S] * 3 * rolls + [EPOCH_SIGMA_YR] * moves)
+    for rolls in (False, True)
+    for moves in (False, True)
+}
+"""Standard deviations of the amplitudes of `_seen_stars`, for a rolling shutter or not, an unknown epoch or not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +142,8 @@ def refine(
         stated = stars.covariance_px2 + floor**2 * np.eye(2)
     as_assumed = probability_as_assumed(stars.misfit)
     free_scale = free_focal or not corrects_aberration(observer)
-    field = _Field(xy, stated, known, camera, guide, free_scale, observer, as_assumed)
+    extra_sigma = _EXTRA_SIGMA[camera.row_time_s != 0.0, observer is None]
+    field = _Field(xy, stated, known, camera, guide, free_scale, observer, as_assumed, extra_sigma)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
     if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
@@ -151,8 +158,10 @@ def refine(
         covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
     if not same(named[fits], used):
         named, fits = joined(used, named)
-    residual = xy[named[:, 0]] - camera.project(guide.directions[named[:, 1]] @ matrix.T)
-    return Refined(matrix, covariance, named, fits, residual, camera)
+    residual = xy[named[:, 0]] - field.seen(named[:, 1], matrix)[0]
+    return made(
+        Refined, matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera
+    )
 
 
 def _matched(
@@ -205,8 +214,7 @@ class _Fit(NamedTuple):
     fits: BoolArray
 
 
-@dataclass(frozen=True, eq=False)
-class _Field:
+class _Field(NamedTuple):
     """Centroids of one image and their errors, see `refine`."""
 
     xy: FloatArray
@@ -217,11 +225,21 @@ class _Field:
     free_focal: bool
     observer: Observer | None
     as_assumed: float
+    extra_sigma: FloatArray
+    """Prior standard deviations (E,) of the amplitudes of the displacements of `seen`."""
 
-    @cached_property
+    @property
     def centre_px(self) -> FloatArray:
         """The principal point (2,)."""
-        return np.array([self.camera.cx, self.camera.cy])
+        return self.camera.image_map[CX:WIDTH]
+
+    def seen(self, guides: IntArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """`_seen_stars` of this camera."""
+        sky, motion, row_time_s = self.guide.directions, self.guide.motion_axes, float(self.camera.row_time_s)
+        seen: tuple[FloatArray, FloatArray, FloatArray] = _seen_stars(
+            guides, matrix, sky, motion, self.camera.image_map, row_time_s, self.observer is None
+        )
+        return seen
 
     def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
         """Fits of the stars that agree with the previous fit, iterated until unchanged."""
@@ -253,10 +271,8 @@ class _Field:
         """Pose of some pairs (M, 2), linearised about an attitude (3, 3), its attitude, and the errors common to the
         field; from measured positions (N, 2), see `named`."""
         stars, camera = pairs[:, 0], self.camera
-        reference = self.guide.directions[pairs[:, 1]]
-        residual, slopes, pixels = _linearised(measured[stars], matrix, reference, camera.image_map)
-        offset = pixels - self.centre_px
-        extra, extra_sigma = self._extra(pairs[:, 1], matrix, slopes, offset)
+        pixels, slopes, extra = self.seen(pairs[:, 1], matrix)
+        residual, offset, extra_sigma = measured[stars] - pixels, pixels - self.centre_px, self.extra_sigma
         first, models = 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
         given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma, self.as_assumed)
         errors = NO_IMAGE_ERRORS
@@ -280,51 +296,22 @@ class _Field:
         x, y, z = pose.turn.tolist()
         return pose, turned(matrix, -x, -y, -z), errors
 
-    def _extra(
-        self, guides: IntArray, matrix: FloatArray, slopes: FloatArray, offset: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Displacements (M, 2, E) that are always fitted: by the rotation between the rows' exposures, and by the
-        motion of the stars since the catalogue's epoch; prior standard deviations (E,) of their amplitudes."""
-        columns, sigma = [], []
-        camera = self.camera
-        if camera.row_time_s:
-            row_s = (offset[:, 1] + camera.cy - (camera.height - 1) / 2.0) * camera.row_time_s
-            columns += [slopes[:, :, k] * row_s[:, None] for k in range(3)]
-            sigma += [RATE_SIGMA_RAD_S] * 3
-        if self.observer is None:
-            columns.append(_space_motion_px_yr(guides, self.guide.directions, self.guide.motion, matrix, slopes))
-            sigma.append(EPOCH_SIGMA_YR)
-        if not columns:
-            return np.empty((len(guides), 2, 0)), np.empty(0)
-        if len(columns) == 1:
-            return columns[0][:, :, None], np.array(sigma)
-        return np.ascontiguousarray(np.stack(columns, axis=2)), np.array(sigma)
-
     def named(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
         """Pairs (K, 2) of all centroids of guide stars, which of them fit within their errors, and the positions (N,
         2), with duplicates merged."""
-        index, pixels, moved = self._predicted(pose, matrix)
-        count = max(len(self.xy), 1)
-        area = float(self.camera.width * self.camera.height)
-        near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * count)))
+        camera, guide = self.camera, self.guide
+        cosine = field_cosine(camera, MARGIN_PX)
+        index, _, pixels = stars_on_image(matrix, cosine, MARGIN_PX, guide.directions, guide.grid, camera.image_map)
+        extra = self.seen(index, matrix)[2] if len(self.extra_sigma) else np.empty((len(index), 2, 0))
+        area = float(camera.width * camera.height)
+        near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * max(len(self.xy), 1))))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
         right = self._corrected(self.xy, errors)
-        pairs, fits, merged = named(right, self.stated, index, pixels + moved, scale, pose.systematic_px2, near_px)
+        positions = pixels + displacements(pixels - self.centre_px, extra, pose.unknowns)
+        pairs, fits, merged = named(right, self.stated, index, positions, scale, pose.systematic_px2, near_px)
         if right is not self.xy:
             merged = np.where(merged == right, self.xy, merged + (self.xy - right))
         return pairs, fits, merged
-
-    def _predicted(self, pose: Pose, matrix: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Guide stars (G,) on the image, their pixels (G, 2), and their displacement by the unknowns of the camera (G,
-        2)."""
-        camera, guide = self.camera, self.guide
-        index, vectors, pixels = stars_on_image(
-            matrix, field_cosine(camera, MARGIN_PX), MARGIN_PX, guide.directions, guide.grid, camera.image_map
-        )
-        offset, moves = pixels - self.centre_px, self.observer is None or camera.row_time_s != 0.0
-        slopes = pixel_slopes(vectors, camera.image_map) if moves else np.empty((0, 2, 3))
-        extra, _ = self._extra(index, matrix, slopes, offset)
-        return index, pixels, displacements(offset, extra, pose.unknowns)
 
     def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance."""
@@ -332,11 +319,9 @@ class _Field:
         covariance, measured = pose.covariance, self._corrected(fit.measured, fit.errors)
         if estimator not in OPTIMAL:  # with its own attitude and covariance, for the errors estimated by the fit
             reference = self.guide.directions[used[:, 1]]
-            _, slopes, pixels = _linearised(measured[used[:, 0]], matrix, reference, camera.image_map)
-            offset = pixels - self.centre_px
-            extra, _ = self._extra(used[:, 1], matrix, slopes, offset)
+            pixels, slopes, extra = self.seen(used[:, 1], matrix)
             pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
-            seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
+            seen = camera.unproject(measured[used[:, 0]] - displacements(pixels - self.centre_px, extra, pose.unknowns))
             estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
             matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
         if not corrects_aberration(self.observer):
@@ -370,29 +355,37 @@ def _refocused(
     return camera, matrix
 
 
-def _linearised(
-    xy: FloatArray, matrix: FloatArray, reference: FloatArray, image: ImageMap
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measured minus predicted (M, 2) of guide stars (M, 3), their derivatives (M, 2, 3), and the predicted
-    positions."""
-    vectors = reference @ matrix.T
-    pixels: FloatArray = to_pixels(vectors, image)
-    return xy - pixels, pixel_slopes(vectors, image), pixels
-
-
 @kernel
-def _space_motion_px_yr(
-    guides: IntArray, directions: FloatArray, motion: FloatArray, matrix: FloatArray, slopes: FloatArray
-) -> FloatArray:
-    """Displacement (M, 2) per year of guide stars by their space motion; derivatives (M, 2, 3) of their pixels."""
-    out = np.empty((len(guides), 2))
+def _seen_stars(
+    guides: IntArray,
+    matrix: FloatArray,
+    directions: FloatArray,
+    motion: FloatArray,
+    image: ImageMap,
+    row_time_s: float,
+    moves: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pixels (M, 2) of guide stars at an attitude (3, 3), their derivatives (M, 2, 3) (`pixel_slopes`), and the
+    displacements (M, 2, E) that are always fitted: by the rotation between the rows' exposures, one about each axis
+    unless `row_time_s` is 0, and per year, if `moves`, by the space motion (3, G)."""
+    vectors = np.empty((len(guides), 3))
     for n in range(len(guides)):
         guide = guides[n]
+        x, y, z = directions[guide, 0], directions[guide, 1], directions[guide, 2]
+        for k in range(3):
+            vectors[n, k] = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
+    pixels, slopes = to_pixels(vectors, image), pixel_slopes(vectors, image)
+    rows, middle = 3 if row_time_s != 0.0 else 0, (image[HEIGHT] - 1.0) / 2.0
+    extra = np.zeros((len(guides), 2, rows + moves))
+    for n in range(len(guides)):
+        guide, row_s = guides[n], (pixels[n, 1] - middle) * row_time_s
         # θ = motion × v, with −θ × v = motion, for motion across v
-        x, y, z = cross(motion[guide], directions[guide])
-        out[n] = 0.0
+        x, y, z = cross(motion[:, guide], directions[guide])
         for k in range(3):
             turn = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
-            for i in range(2):
-                out[n, i] += slopes[n, i, k] * turn
-    return out
+            for axis in range(2):
+                if rows > 0:
+                    extra[n, axis, k] = slopes[n, axis, k] * row_s
+                if moves:
+                    extra[n, axis, rows] += slopes[n, axis, k] * turn
+    return pixels, slopes, extra

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 
 @kernel
@@ -52,3 +52,32 @@ def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
             order[at] = order[at - 1]
             at -= 1
         order[at] = last
+
+
+@kernel
+def order_of_columns(keys: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Stable ascending order (N,) of columns of numbers (K, N) without NaN, by the first row, then by the next ones:
+    Shell's sort (Knuth 1998, The Art of Computer Programming 3, section 5.2.1)."""
+    count = keys.shape[1]
+    order, gap = np.arange(count), 1
+    while gap < count // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for last in range(gap, count):
+            column, at = order[last], last
+            while at >= gap and _is_before(column, order[at - gap], keys):
+                order[at] = order[at - gap]
+                at -= gap
+            order[at] = column
+        gap //= 3
+    return order
+
+
+@kernel_part
+def _is_before(one: int, other: int, keys: NDArray[np.float64]) -> bool:
+    before, row = one < other, len(keys) - 1
+    while row >= 0:
+        if keys[row, one] != keys[row, other]:
+            before = keys[row, one] < keys[row, other]
+        row -= 1
+    return before

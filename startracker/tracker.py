@@ -33,7 +33,7 @@ from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.records import changed
+from startracker.records import changed, made
 from startracker.refine import Measured, Refined
 from startracker.refine_stars import refine_stars
 from startracker.registry import lookup
@@ -338,32 +338,35 @@ class StarTracker:
         clock: Clock,
     ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
-        sigma_px = np.empty(0)
-        if measured.variance_px2 is not None:
+        if measured.variance_px2 is None:
+            sigma_px = np.full(len(used), np.nan)
+        else:
             floor_px = guide.catalog.position_sigma_rad / self.camera.pixel_rad
             sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
-        stars = MatchedStars(
-            measured.xy[used],
-            guide.catalog.id[chosen],
-            guide.catalog.star_name[chosen],
-            guide.v_mag[chosen],
-            np.full(len(used), np.nan) if measured.flux is None else measured.flux[used],
-            refined.residual_px,
-            refined.used,
-            sigma_px,
+        stars = made(
+            MatchedStars,
+            xy=measured.xy[used],
+            catalog_id=guide.catalog.id[chosen],
+            name=guide.catalog.star_name[chosen],
+            v_mag=guide.v_mag[chosen],
+            flux=np.full(len(used), np.nan) if measured.flux is None else measured.flux[used],
+            residual_px=refined.residual_px,
+            used=refined.used,
+            sigma_px=sigma_px,
         )
         clock.lap("attitude")
-        return Solution(
-            Status.SOLVED,
-            found.reason + _focal_correction(refined.camera.fx / self.camera.fx),
-            Attitude.from_matrix(refined.matrix),
-            refined.covariance,
-            stars,
-            measured.xy,
-            refined.camera.fov_deg,
-            self.camera.parity,
-            clock.times_ms(),
-            refined.camera,
+        return made(
+            Solution,
+            status=Status.SOLVED,
+            reason=found.reason + _focal_correction(refined.camera.fx / self.camera.fx),
+            attitude=Attitude.from_matrix(refined.matrix),
+            covariance=refined.covariance,
+            stars=stars,
+            centroids=measured.xy,
+            fov_deg=refined.camera.fov_deg,
+            parity=self.camera.parity,
+            times_ms=clock.times_ms(),
+            camera=refined.camera,
             log_false_alarm=found.log_false_alarm,
             operations=found.operations,
             observer=observer,

@@ -177,9 +177,9 @@ class GuideDatabase:
         return self._motion
 
     @property
-    def motion(self) -> FloatArray:
-        """Space motion (G, 3) of the unit vectors per Julian year, ICRS axes."""
-        return np.asarray(self._space_motion()[1].T)
+    def motion_axes(self) -> FloatArray:
+        """Space motion (3, G) of the unit vectors per Julian year, ICRS axes."""
+        return self._space_motion()[1]
 
     def brightest(self, count: int) -> GuideDatabase:
         """The database with only the `count` brightest stars."""

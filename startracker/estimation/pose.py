@@ -153,11 +153,18 @@ def _prior_sigma(extra_sigma: FloatArray, first: int) -> FloatArray:
     return out
 
 
+@kernel
 def displacements(offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -> FloatArray:
     """Displacements (M, 2) of stars by the unknowns of the camera (`Pose.unknowns`), pixels; see `Linearised`."""
-    focal, one, two = unknowns[-3:].tolist()
-    moved: FloatArray = offset @ np.array([[focal + one, two], [two, focal - one]])
-    return moved + extra @ unknowns[:-3] if len(unknowns) > 3 else moved
+    known, moved = extra.shape[2], np.empty_like(offset)
+    focal, one, two = unknowns[known], unknowns[known + 1], unknowns[known + 2]
+    for n in range(len(offset)):
+        x, y = offset[n, 0], offset[n, 1]
+        moved[n, 0], moved[n, 1] = x * (focal + one) + y * two, x * two + y * (focal - one)
+        for k in range(known):
+            for axis in range(2):
+                moved[n, axis] += extra[n, axis, k] * unknowns[k]
+    return moved
 
 
 @kernel

@@ -43,7 +43,9 @@ def log_chance(
     log_density : float
         ln p.
     """
-    highest = max(-log_gain, *rivals) if rivals else -log_gain
+    if not rivals:
+        return log_density - log_gain - log_evidence
+    highest = max(-log_gain, *rivals)
     total = math.exp(-log_gain - highest) + sum(math.exp(rival - highest) for rival in rivals)
     return log_density + highest + math.log(total) - log_evidence
 

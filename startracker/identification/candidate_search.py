@@ -95,7 +95,7 @@ def next_verified(
     """
     least_cosine = 1.0 - 0.5 * (_SAME_SIGMAS * limits.scale * stars.sigma[0]) ** 2
     scale, free, at = max(limits.scale, _VERIFY_FROM), limits.focal_range > 0.0, start
-    found = Verified(-np.inf, np.empty((3, 3)), 0.0, scale, 0, np.empty(0, np.int64), 0)
+    found = Verified(-np.inf, np.empty((3, 3)), 0.0, scale, 0, np.empty((0, 2), np.int64), 0)
     while at < len(candidates.focal) and work <= limits.work and not found.log_b > _LEAST_LOG_B:
         at, matrix, taken = next_confirmed(candidates, at, stars, sky, confirmation, limits.work - work)
         work += taken
@@ -118,7 +118,7 @@ class Verifier:
 
     def __init__(self, pool: HypothesisPool, guide: GuideDatabase, stars: Stars) -> None:
         self.pool, self._sky, self._stars = pool, guide.view, stars
-        self._known = np.empty((0, 3, 3))
+        self._known, self._latest = np.empty((0, 3, 3)), list[FloatArray]()
 
     def map_sky(self, effort: Effort, many: int, lever: float) -> None:
         """Make an occupancy map once there were many candidates, for stars whose position has an error of `lever` times
@@ -135,11 +135,13 @@ class Verifier:
         effort.found += len(candidates.focal)
         at, confirmation = 0, effort.confirmation
         while at < len(candidates.focal) and not effort.ended:
+            if self._latest:
+                self._known, self._latest = np.concatenate([self._known, *self._latest]), []
             at, found, effort.work = next_verified(
                 candidates, at, self._known, self._stars, self._sky, confirmation, effort.limits, effort.work
             )
             if found.log_b > _LEAST_LOG_B:
-                self._known = np.concatenate([self._known, found.matrix[None]])
+                self._latest.append(found.matrix[None])
                 effort.kept += 1
                 self.pool.add(hypothesis_of(found))
                 effort.decided |= found.log_b > self.pool.decisive_evidence

@@ -19,10 +19,11 @@ from startracker.estimation.directions import focal_slopes
 from startracker.identification.acceptance import SURE_BEYOND, accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.clustering_null import log_excess_density
-from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.observed import Identification, Observed, Prior, magnitudes_of
 from startracker.identification.search_state import Stars
 from startracker.identification.verification import MOST_EXTRA, Verified, verify_attitude
 from startracker.kernels import kernel
+from startracker.records import made
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 from startracker.trace import Steps
@@ -73,17 +74,17 @@ def kernel_stars(observed: Observed, guide: GuideDatabase) -> Stars:
     if area not in kept:
         n, vectors = len(observed), np.ascontiguousarray(observed.vectors, dtype=np.float64)
         sigma = np.ascontiguousarray(observed.sigma_rad, dtype=np.float64)
-        slopes, excess = _derived(vectors, area)
+        slopes, excess, magnitude = _derived(vectors, observed.flux_or_nan(), area)
         counts = count_table(n, 2 * n + MOST_EXTRA)
-        kept[area] = Stars(vectors, slopes, sigma, observed.magnitudes_or_nan(), counts, excess)
+        kept[area] = Stars(vectors, slopes, sigma, magnitude, counts, excess)
     stars: Stars = kept[area]
     return stars
 
 
 @kernel
-def _derived(vectors: FloatArray, area: float) -> tuple[FloatArray, FloatArray]:
-    """`focal_slopes` and `log_excess_density` of the stars, in one call."""
-    return focal_slopes(vectors), log_excess_density(vectors, area)
+def _derived(vectors: FloatArray, flux: FloatArray, area: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`focal_slopes`, `log_excess_density` and `magnitudes_of` of the stars, in one call."""
+    return focal_slopes(vectors), log_excess_density(vectors, area), magnitudes_of(flux)
 
 
 def verify(
@@ -121,10 +122,15 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
     """Result of `verify_attitude` as an object; None if fewer than three stars agree."""
     if not found.log_b > -math.inf:
         return None
-    stars = (found.guide_of >= 0).nonzero()[0]
-    pairs = np.empty((len(stars), 2), np.int64)
-    pairs[:, 0], pairs[:, 1] = stars, found.guide_of[stars]
-    return Hypothesis(found.matrix, pairs, found.log_b, found.scale, found.in_field, math.exp(found.focal))
+    return made(
+        Hypothesis,
+        matrix=found.matrix,
+        pairs=found.pairs,
+        log_evidence=found.log_b,
+        scale=found.scale,
+        in_field=found.in_field,
+        focal=math.exp(found.focal),
+    )
 
 
 def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
@@ -218,8 +224,9 @@ class HypothesisPool:
                 break
         else:
             self.hypotheses.append(hypothesis)
-        self.hypotheses.sort(key=lambda h: -h.log_evidence)
-        del self.hypotheses[20:]
+        if len(self.hypotheses) > 1:
+            self.hypotheses.sort(key=lambda h: -h.log_evidence)
+            del self.hypotheses[20:]
 
     def note(self, text: str | Callable[[], str]) -> None:
         """Note what was tried, for the explanation."""
@@ -270,7 +277,16 @@ class HypothesisPool:
         enough = len(best.pairs) >= self.settings.min_stars
         if enough and accepts(chance, self.settings):
             reason = f"{says}; by chance with probability {power_of_ten(chance)}"
-            return Identification(Status.SOLVED, reason, best.pairs, chance, best.focal, steps, self.operations)
+            return made(
+                Identification,
+                status=Status.SOLVED,
+                reason=reason,
+                pairs=best.pairs,
+                log_false_alarm=chance,
+                focal=best.focal,
+                steps=steps,
+                operations=self.operations,
+            )
         if not enough or chance > self._log_density:
             reason = f"best attitude is no better than chance: {says}"
             return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)

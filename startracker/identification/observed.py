@@ -56,11 +56,16 @@ class Observed:
 
     def magnitudes_or_nan(self) -> FloatArray:
         """The same, NaN for all where they are not known."""
-        return np.full(len(self), math.nan) if self.flux is None else np.asarray(_magnitudes(self.flux))
+        return np.asarray(magnitudes_of(self.flux_or_nan()))
+
+    def flux_or_nan(self) -> FloatArray:
+        """The flux (N,), NaN where it is not known."""
+        return np.full(len(self), math.nan) if self.flux is None else self.flux
 
 
 @kernel
-def _magnitudes(flux: FloatArray) -> FloatArray:
+def magnitudes_of(flux: FloatArray) -> FloatArray:
+    """Instrumental magnitudes −2.5 log₁₀ flux (N,); NaN for all where one flux is not positive and finite."""
     out = np.empty(len(flux))
     for n in range(len(flux)):
         if not 0.0 < flux[n] < math.inf:

@@ -107,8 +107,8 @@ class Verified(NamedTuple):
         ln of the focal length's factor, multiple of the stated errors that fits best.
     in_field : int
         Guide stars in the field.
-    guide_of : (N,)
-        Guide star of each observed star or −1.
+    pairs : (M, 2)
+        Observed stars that have a guide star, and its number.
     operations : int
         Stars compared with guide stars, and terms of the Bayes factor.
     """
@@ -118,7 +118,7 @@ class Verified(NamedTuple):
     focal: float
     scale: float
     in_field: int
-    guide_of: IntArray
+    pairs: IntArray
     operations: int
 
 
@@ -268,9 +268,7 @@ def verify_attitude(
     """
     n, operations, unknowns = len(stars.vectors), OVERHEAD, 4 if free_focal else 3
     field = _field_at(matrix, sky, 2 * n + MOST_EXTRA)
-    guides, weighed, guide_of = len(field.guide), np.empty(0, np.int64), np.empty(n, np.int64)
-    for i in range(n):
-        guide_of[i] = -1
+    guides, weighed, pairs, count = len(field.guide), np.empty(0, np.int64), np.empty((n, 2), np.int64), 0
     best, log_b, fitting = matrix, -math.inf, scale
     best_focal = 0.0
     step, widen = scale, 2.0  # a first match from few stars' attitude may be off by more far away from them
@@ -286,10 +284,13 @@ def verify_attitude(
             value, multiple = _weigh(fit, stars, field, sky.area, unknowns)
             operations += WEIGHINGS * fit.matched * guides
             if value > log_b:
+                count = 0
                 for i in range(n):
-                    guide_of[i] = field.guide[fit.guide[i]] if fit.guide[i] >= 0 else -1
+                    if fit.guide[i] >= 0:
+                        pairs[count, 0], pairs[count, 1] = i, field.guide[fit.guide[i]]
+                        count += 1
                 best, best_focal, log_b, fitting = matrix, focal, value, multiple
         if step <= _NARROWEST:
             break
         step, widen = max(step / _NARROWING, _NARROWEST), 1.0
-    return Verified(log_b, best, best_focal, fitting, guides, guide_of, operations)
+    return Verified(log_b, best, best_focal, fitting, guides, pairs[:count], operations)

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, IntArray
 from startracker.camera import Camera
 from startracker.identification.acceptance import log_chance, power_of_ten
+from startracker.image_map import to_pixels
+from startracker.observer import Observer
+from startracker.records import made
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking.looking import Expected, Seen
@@ -42,34 +45,46 @@ class Followed:
     residual_px: FloatArray
     log_chance: float
 
-    def solution(self, tracker: StarTracker, covariance: FloatArray, note: str, times_ms: dict[str, float]) -> Solution:
+    def solution(
+        self,
+        tracker: StarTracker,
+        covariance: FloatArray,
+        note: str,
+        times_ms: dict[str, float],
+        observer: Observer | None,
+    ) -> Solution:
         """Solution of the frame: attitude of the filter, the given covariance (3, 3), and the stars.
 
         The note is appended to the reason.
         """
         camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
         chosen = self.expected.index[self.partner]
-        return Solution(
-            Status.SOLVED,
-            f"tracked: {len(stars)} of {len(seen.xy)} stars at predicted positions, {len(self.expected.index)} "
+        matched = made(
+            MatchedStars,
+            xy=seen.xy[stars],
+            catalog_id=guide.catalog.id[chosen],
+            name=guide.catalog.star_name[chosen],
+            v_mag=guide.v_mag[chosen],
+            flux=seen.flux[stars],
+            residual_px=self.residual_px,
+            used=np.ones(len(stars), np.bool_),
+            sigma_px=seen.sigma_px[stars],
+        )
+        return made(
+            Solution,
+            status=Status.SOLVED,
+            reason=f"tracked: {len(stars)} of {len(seen.xy)} stars at predicted positions, {len(self.expected.index)} "
             f"expected; chance probability {power_of_ten(self.log_chance)}" + note,
-            self.filter.attitude,
-            covariance,
-            MatchedStars(
-                seen.xy[stars],
-                guide.catalog.id[chosen],
-                guide.catalog.star_name[chosen],
-                guide.v_mag[chosen],
-                seen.flux[stars],
-                self.residual_px,
-                sigma_px=seen.sigma_px[stars],
-            ),
-            seen.xy,
-            camera.fov_deg,
-            camera.parity,
-            times_ms,
-            camera,
+            attitude=self.filter.attitude,
+            covariance=covariance,
+            stars=matched,
+            centroids=seen.xy,
+            fov_deg=camera.fov_deg,
+            parity=camera.parity,
+            times_ms=times_ms,
+            camera=camera,
             log_false_alarm=self.log_chance,
+            observer=observer,
         )
 
 
@@ -95,28 +110,37 @@ def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, fal
     )
     if not evidence >= _LEAST_WORTH:
         return None
-    stars = np.flatnonzero(partner >= 0)
+    stars = (partner >= 0).nonzero()[0]
     while True:
-        after = prediction.copy()
+        after, sigma_px = prediction.copy(), seen.sigma_px[stars]
         reference = expected.directions[partner[stars]]
-        innovation = after.update_vectors(seen.vectors[stars], reference, seen.sigma_px[stars] * pixel, false_rejection)
+        innovation = after.update_stars(seen.vectors[stars], reference, sigma_px * pixel, false_rejection)
         if not innovation.accepted:
             return None
-        residual = seen.xy[stars] - camera.project(reference @ after.matrix.T)
-        good = _fitting(residual, seen.sigma_px[stars])
-        if good.all():
+        residual = seen.xy[stars] - to_pixels(reference @ after.matrix.T, camera.image_map)
+        good = _fitting(residual, sigma_px)
+        if good is None or good.all():
             break
         stars = stars[good]
-    return Followed(after, innovation, seen, expected, stars, partner[stars], residual, log_chance(evidence))
+    return made(
+        Followed,
+        filter=after,
+        innovation=innovation,
+        seen=seen,
+        expected=expected,
+        stars=stars,
+        partner=partner[stars],
+        residual_px=residual,
+        log_chance=log_chance(evidence),
+    )
 
 
-def _fitting(residual: FloatArray, sigma: FloatArray) -> NDArray[np.bool_]:
-    """Stars (M,) whose residual is below 3.7 standard errors, the stated ones or those of the frame if larger."""
+def _fitting(residual: FloatArray, sigma: FloatArray) -> NDArray[np.bool_] | None:
+    """Stars (M,) whose residual is below 3.7 standard errors, the stated ones or those of the frame if larger; None:
+    all."""
     length = np.hypot(residual[:, 0], residual[:, 1]) / sigma
-    if len(length) < _FEWEST_TO_REJECT or float(length.max()) <= _REJECT_SIGMAS:
-        return np.ones(len(length), np.bool_)
+    if len(length) < _FEWEST_TO_REJECT or max(length.tolist()) <= _REJECT_SIGMAS:
+        return None
     limit = _REJECT_SIGMAS * max(float(np.median(length)) / _RAYLEIGH_MEDIAN, 1.0)
     good = np.asarray(length <= limit)
-    if good.sum() < _FEWEST_TO_REJECT:
-        return np.ones(len(length), np.bool_)
-    return good
+    return None if good.sum() < _FEWEST_TO_REJECT else good

@@ -17,7 +17,9 @@ from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.detection import Background
 from startracker.errors import InputError
 from startracker.given_centroids import SAME_STAR_PX
+from startracker.image_map import to_directions
 from startracker.observer import Observer
+from startracker.records import made
 from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
@@ -89,10 +91,11 @@ class Sky:
         if observer is not None and observer.velocity_km_s is not None:
             beta = np.asarray(observer.velocity_km_s, dtype=float) / SPEED_OF_LIGHT_KM_S
         index, directions, predicted = expected_stars(matrix, self._seen_by(observer), beta, most)
-        beside = beside_bodies(directions, observer, self.pixel_rad)
-        if beside.any():
-            index, directions, predicted = index[~beside], directions[~beside], predicted[~beside]
-        return Expected(index, directions, predicted)
+        if observer is not None:
+            beside = beside_bodies(directions, observer, self.pixel_rad)
+            if beside.any():
+                index, directions, predicted = index[~beside], directions[~beside], predicted[~beside]
+        return made(Expected, index=index, directions=directions, predicted=predicted)
 
     def _seen_by(self, observer: Observer | None) -> SkyView:
         if observer is None:
@@ -115,15 +118,16 @@ def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None
     points = xy[rows]
     stated = np.full(len(rows), STATED_PX)
     sigma = factor * stated
-    seen = Seen(
-        points,
-        np.full(len(rows), np.nan) if flux is None else flux[rows],
-        camera.unproject(points) if len(rows) else np.empty((0, 3)),
-        sigma,
-        sigma,
-        stated,
-        0,
-        tracker.guide.solid_angle_sr,
+    seen = made(
+        Seen,
+        xy=points,
+        flux=np.full(len(rows), np.nan) if flux is None else flux[rows],
+        vectors=to_directions(points, camera.image_map),
+        gate_px=sigma,
+        sigma_px=sigma,
+        stated_px=stated,
+        windows=0,
+        area_sr=tracker.guide.solid_angle_sr,
     )
     return _with_direction(seen)
 
@@ -224,8 +228,9 @@ def look(
 
 
 def _with_direction(seen: Seen) -> Seen:
-    usable = np.isfinite(seen.vectors[:, 0])
-    return seen if usable.all() else seen.select(usable)
+    if math.isfinite(np.add.reduce(seen.vectors, axis=None)):
+        return seen
+    return seen.select(np.isfinite(seen.vectors[:, 0]))
 
 
 def as_pixels(image: ArrayLike) -> NDArray[Any] | None:

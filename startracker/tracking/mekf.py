@@ -23,11 +23,13 @@ from startracker.arrays import FloatArray
 from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
+from startracker.records import made
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 
 _LINEAR_RAD = 3e-4
 """Maximum correction, rad, with a linearisation error of 0.01″; larger ones are iterated."""
 _MOST_PASSES = 4
+_NO_TURN = np.zeros(3)
 _LARGEST_SCALE = 0.5
 """Maximum error of a gyro's scale factor; at −1 it would measure nothing."""
 
@@ -207,6 +209,11 @@ class Mekf:
         return np.ascontiguousarray(self._covariance[:3, :3])
 
     @property
+    def uncertainty_rad(self) -> float:
+        """Standard deviation of the attitude about all axes together."""
+        return math.sqrt(sum(self._covariance.diagonal()[:3].tolist()))
+
+    @property
     def rate_rad_s(self) -> FloatArray:
         """Rate of the camera in its own axes (3,): estimated, or measured minus the bias."""
         return self._rate.copy()
@@ -303,12 +310,20 @@ class Mekf:
             raise InputError(f"directions must both have the shape (M, 3); got {b.shape} and {r.shape}")
         if not (len(b) and (sigma > 0).all() and np.isfinite(sigma).all() and np.isfinite(b).all()):
             raise InputError("a filter needs at least one finite direction, each with a positive standard error")
-        delta = np.zeros(3)
+        return self.update_stars(b, r, sigma, false_rejection)
+
+    def update_stars(
+        self, observed: FloatArray, reference: FloatArray, sigma_rad: FloatArray, false_rejection: float
+    ) -> Innovation:
+        """`update_vectors` with contiguous arrays (M, 3), (M, 3), (M,) that need no check; M is at least 1."""
+        delta, before = _NO_TURN, (0.0, 0.0, 0.0)
         for _ in range(_MOST_PASSES):
-            axes, innovation, noise = vector_measurement(self._quat, delta, b, r, sigma)
+            axes, innovation, noise = vector_measurement(self._quat, delta, observed, reference, sigma_rad)
             outcome = correct(self._covariance, axes, innovation, noise)
-            moved = float(np.abs(outcome[1][:3] - delta).max())
-            delta = outcome[1][:3].copy()
+            delta = outcome[1][:3]
+            x, y, z = delta.tolist()
+            moved = max(abs(x - before[0]), abs(y - before[1]), abs(z - before[2]))
+            before = x, y, z
             if moved < _LINEAR_RAD:
                 break
         return self._take(outcome, chi_square_limit(len(innovation), false_rejection), len(innovation))
@@ -318,7 +333,8 @@ class Mekf:
     ) -> Innovation:
         """Apply a correction to the state if it is within the gate."""
         distance, change, covariance, white = outcome
-        innovation = Innovation(bool(distance <= limit), distance, freedom, white if freedom == 3 else None)
+        within, whitened = distance <= limit, white if freedom == 3 else None
+        innovation = made(Innovation, accepted=within, distance2=distance, freedom=freedom, whitened=whitened)
         if not innovation.accepted:
             return innovation
         self._covariance = covariance

@@ -40,5 +40,6 @@ class Scatter:
         if freedom <= 0:
             return
         fading = math.exp(-freedom / _MEMORY)
-        self._chi2 = fading * self._chi2 + float(np.sum(residual**2 / stated[:, None] ** 2))
+        weighted = residual / stated[:, None]
+        self._chi2 = fading * self._chi2 + float(np.vdot(weighted, weighted))
         self._freedom = fading * self._freedom + freedom

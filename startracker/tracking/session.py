@@ -25,6 +25,7 @@ from startracker.given_image import GivenImage, given_image
 from startracker.identification.acceptance import accepts
 from startracker.interop import is_rotation, plain
 from startracker.observer import Observer, corrects_aberration
+from startracker.records import made
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
 from startracker.tracker import STATED_PX, StarTracker
@@ -325,22 +326,24 @@ class TrackingSession:
         self._watched.take_followed(followed)
         self._watched.mark_solved(self._used(seen.xy[stars]))
         self._scatter.add(followed.residual_px, seen.stated_px[stars])
-        self.state = TrackingState(
-            "tracking",
-            True,
-            seen.windows,
-            len(followed.expected.index),
-            len(stars),
-            followed.log_chance,
-            followed.innovation,
+        self.state = made(
+            TrackingState,
+            mode="tracking",
+            solved=True,
+            windows=seen.windows,
+            expected=len(followed.expected.index),
+            matched=len(stars),
+            log_chance=followed.log_chance,
+            innovation=followed.innovation,
+            restarted=False,
             distrusted=self._watched.distrusted,
             note=self._note,
             window_xy=seen.window_xy,
             window_half_px=seen.window_half_px,
         )
         clock.lap("tracking")
-        answer = followed.solution(self.tracker, self._given_out(), self._with_note(""), clock.times_ms())
-        return replace(answer, observer=self._observer)
+        times_ms, note = clock.times_ms(), self._with_note("")
+        return followed.solution(self.tracker, self._given_out(), note, times_ms, self._observer)
 
     # ------------------------------------------------------------------ the whole frame
     def _whole_frame(

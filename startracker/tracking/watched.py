@@ -88,9 +88,7 @@ class WatchedFilter:
     @property
     def uncertainty_rad(self) -> float:
         """Standard deviation of the predicted attitude about all axes together; infinite without a filter."""
-        if self.mekf is None:
-            return math.inf
-        return math.sqrt(sum(self.mekf.attitude_covariance.diagonal().tolist()))
+        return math.inf if self.mekf is None else self.mekf.uncertainty_rad
 
     @property
     def covariance(self) -> FloatArray | None:

@@ -10,6 +10,7 @@ from benchmarks.adversarial import make
 from startracker import Attitude, Camera, IdentificationSettings, StarTracker, Status, solve_unknown_fov
 from startracker.given_centroids import SAME_STAR_PX, _first_of_each, clean_centroids
 from startracker.identification import METHODS
+from startracker.sorting import order_of_columns
 
 CAMERA = Camera.from_fov(10.0, 512, 512)
 
@@ -94,3 +95,9 @@ def test_a_star_found_twice_is_one():
     np.testing.assert_array_equal(_first_of_each(points), expected)
     kept, _ = clean_centroids(points, None, CAMERA)
     np.testing.assert_array_equal(kept, points[expected])
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7, 60, 500])
+def test_columns_are_sorted_as_by_numpy(count):
+    keys = np.random.default_rng(count).integers(0, 4, (3, count)).astype(float)
+    np.testing.assert_array_equal(order_of_columns(keys), np.lexsort(keys[::-1]))
