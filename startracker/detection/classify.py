@@ -85,7 +85,8 @@ class _Examined:
     def __init__(self, table: Sources, saturated: Flags, searched: Searched, criteria: Criteria) -> None:
         self.table, self.saturated, self.searched, self.criteria = table, saturated, searched, criteria
         self.long = measure_forms(table, criteria.max_axis_ratio).long
-        self.pixels = np.column_stack([table["x_peak"], table["y_peak"]])
+        self.pixels = np.empty((len(table), 2), np.int64)
+        self.pixels[:, 0], self.pixels[:, 1] = table["x_peak"], table["y_peak"]
         judged = criteria.reject_hits & ~(saturated | table["edge"]) & (table["pixels"] >= _SHAPE_PIXELS)
         self.sharpness = sharpest_star(self.pixels, judged, searched)
         # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow

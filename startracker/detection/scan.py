@@ -147,12 +147,13 @@ def search_rows(
     rows = 2 * reach + 1 + _WORKING_ROWS
     pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
     work = np.zeros(rows * pitch + _LINE, np.float32)
-    starts = (-work.ctypes.data // work.itemsize) % _LINE + np.arange(rows) * pitch
+    first = (-work.__array_interface__["data"][0] // work.itemsize) % _LINE
+    starts = np.arange(first, first + rows * pitch, pitch, dtype=np.uint64)
     marks = np.zeros((width + 63) // 64 * 64, np.uint8)
     most = height * (len(marks) // _WORD)  # room for all: memory that is never written costs nothing
     groups, found = np.empty((most, 2), np.uint64), np.empty((most, _WORD), np.float32)
     sample = np.empty(height * width // stride + 1, np.float32)
-    space = _Space(work, starts.astype(np.uint64), marks, marks.view(np.uint64))
+    space = _Space(work, starts, marks, marks.view(np.uint64))
     rows_found, sampled = _search(
         image, level, noise, half, np.float32(threshold), stride, space, _Found(groups, found, sample)
     )

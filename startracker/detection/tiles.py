@@ -71,10 +71,12 @@ def whole_step(values: NDArray[Any]) -> int:
             return 0
     if not len(values):
         return 0
-    gaps = values.astype(np.int64) - int(values[0])
     # most images have the step 1, which a few values show
-    few = int(np.gcd.reduce(gaps[:_FEW_VALUES]))
-    return few if few == 1 else max(int(np.gcd.reduce(gaps)), 1)
+    for some in (values[:_FEW_VALUES], values):
+        step = int(np.gcd.reduce(some.astype(np.int64) - int(values[0])))
+        if step == 1:
+            break
+    return max(step, 1)
 
 
 @kernel
