@@ -98,9 +98,7 @@ def is_clutter(
     if _is_calm(filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet):
         return False
     height = np.float64(filtered[outer * pitch + outer])
-    return bool(
-        _is_exceeded(filtered, stamp.sample, rings.positions[ring], rings.ends[ring], height, quiet, isolation)
-    )
+    return bool(_is_exceeded(filtered, stamp.sample, rings.positions[ring], rings.ends[ring], height, quiet, isolation))
 
 
 @kernel_part
