@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from startracker.kernels import kernel, kernel_part
 
+_INFINITE_BITS = int(np.float32(np.inf).view(np.int32))
+
 
 @kernel
 def sort(values: NDArray[Any]) -> None:
@@ -30,6 +32,31 @@ def sort(values: NDArray[Any]) -> None:
             values[parent] = values[child]
             parent, child = child, 2 * child + 1
         values[parent] = value
+
+
+@kernel
+def ranked(values: NDArray[np.float32], rank: int) -> tuple[float, float]:
+    """Values at a rank and at the next one of finite numbers if they were sorted; the last has itself as the next.
+
+    A limit between both is bisected by counting, over the bits of numbers in ascending order: some twenty passes
+    without a branch take a quarter of the time of a sort.
+    """
+    low, high, limit, count = -_INFINITE_BITS - 1, _INFINITE_BITS, np.float32(np.inf), np.int32(len(values))
+    while low < high and count != rank + 1:
+        middle, below = (low + high) >> 1, np.int32(0)
+        trial = np.int32(middle if middle >= 0 else middle ^ 0x7FFFFFFF).view(np.float32)
+        for i in range(np.uint64(len(values))):
+            below = np.int32(below + np.int32(values[i] <= trial))
+        if below > rank:
+            high, limit, count = middle, trial, below
+        else:
+            low = middle + 1
+    value, following = np.float32(-np.inf), np.float32(np.inf)
+    for i in range(np.uint64(len(values))):
+        within = values[i] <= limit
+        value = max(value, values[i] if within else np.float32(-np.inf))
+        following = min(following, np.float32(np.inf) if within else values[i])
+    return float(value), float(following if count == rank + 1 < len(values) else value)
 
 
 @kernel

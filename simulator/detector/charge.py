@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from simulator.detector.simd import outside
 from simulator.detector.steps import Collection
 from startracker.arrays import FloatArray
 from startracker.kernels import kernel_part
@@ -39,9 +38,12 @@ def collect(mean_e: FloatArray, signal: FloatArray, how: Collection, exposure_s:
     n = mean_e.size
     at_response, at_dark = first * how.response_mapped, first * how.dark_mapped
     response, dark_e_s = how.response_map[at_response : at_response + n], how.dark_map_e_s[at_dark : at_dark + n]
+    rejected = np.int32(0)
     for i in range(n):
-        mean_e[i] = signal[i] * (how.response * response[i]) + exposure_s * (how.dark_e_s + dark_e_s[i])
-    return bool(not how.is_light or outside(signal, 0.0, _FINITE) == 0)
+        light = signal[i]
+        mean_e[i] = light * (how.response * response[i]) + exposure_s * (how.dark_e_s + dark_e_s[i])
+        rejected = np.int32(rejected + np.int32(not ((light >= 0.0) & (light <= _FINITE))))
+    return bool(not how.is_light or rejected == 0)
 
 
 @kernel_part

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.kernels import kernel
+from startracker.records import changed
 from startracker.settings import CentroidSettings
 
 _LARGEST_HALF_PX = 8
@@ -158,7 +158,7 @@ def _fit(
         half = int(starts.half.min())
         common = correct_skewness(frame.pixels, table, spots.saturated | spots.edge, half, psf.shape)
     found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
-    return replace(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
+    return changed(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
 
 
 @kernel

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import IntArray
-from startracker.detection.cosmic_rays import sharp_shapes, sharpest_star
+from startracker.detection.cosmic_rays import Sharpness, is_sharp, measure_more, sharpest_star
 from startracker.detection.forms import is_halo, measure_forms
 from startracker.detection.shapes import PEAK_SHARE
 from startracker.detection.sources import Searched, Sources
-from startracker.detection.surroundings import are_clutter
+from startracker.detection.surroundings import Stamp, is_clutter, new_stamp
 from startracker.detection.thresholds import LOOKED_AT, LOOKED_AT_MORE, ONE_PIXEL_SHARE
+from startracker.kernels import kernel
 
 Flags = NDArray[np.bool_]
 
@@ -47,7 +49,7 @@ class Criteria(NamedTuple):
     """Whether to look for cosmic rays and hot pixels (`startracker.detection.cosmic_rays`)."""
     quiet: float
     isolation: float
-    """As of `startracker.detection.surroundings.are_clutter`; an isolation of 0: no source is clutter."""
+    """As of `startracker.detection.surroundings.is_clutter`; an isolation of 0: no source is clutter."""
     most: int
     """Stars after which only the long sources are examined, as their number shows smear."""
 
@@ -79,49 +81,73 @@ def classify_sources(table: Sources, saturated: Flags, searched: Searched, crite
     return kind
 
 
+def _enough_for(stars: int) -> int:
+    return _MORE + stars * 5 // 4
+
+
+class _Marks(NamedTuple):
+    """What is known of sources before they are judged, each (N,)."""
+
+    may_be_sharp: Flags
+    long: Flags
+    saturated: Flags
+
+
 class _Examined:
     """Sources of sufficient size, brightest first."""
 
     def __init__(self, table: Sources, saturated: Flags, searched: Searched, criteria: Criteria) -> None:
-        self.table, self.saturated, self.searched, self.criteria = table, saturated, searched, criteria
-        self.long = measure_forms(table, criteria.max_axis_ratio).long
-        self.pixels = np.column_stack([table["x_peak"], table["y_peak"]])
+        self.table, self.searched, self.criteria = table, searched, criteria
+        self.stamp = new_stamp(len(searched.half))
+        long = measure_forms(table, criteria.max_axis_ratio).long
+        self.pixels = np.empty((len(table), 2), np.int64)
+        self.pixels[:, 0], self.pixels[:, 1] = table["x_peak"], table["y_peak"]
         judged = criteria.reject_hits & ~(saturated | table["edge"]) & (table["pixels"] >= _SHAPE_PIXELS)
-        self.sharpness = sharpest_star(self.pixels, judged, searched)
+        ahead = _enough_for(criteria.most) if criteria.reject_hits else 0
+        self.sharpness = sharpest_star(self.pixels, judged, searched, ahead)
         # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
         may_be_sharp = ~table["edge"] & (~saturated | (table["saturated"] == 1))
-        self.may_be_sharp = may_be_sharp & (self.sharpness.limit_px2 > 0.0)
+        self.marks = _Marks(may_be_sharp & (self.sharpness.limit_px2 > 0.0), long, saturated)
 
     def classify(self) -> IntArray:
         """Class (N,) of each, until there are as many stars as asked for; then of the long ones only."""
         kind, most = np.where(is_halo(self.table), _HALO, _UNSEEN), self.criteria.most
         left, stars = np.flatnonzero(kind == _UNSEEN), 0
         while len(left) and stars < most:
-            which = left[: _MORE + (most - stars) * 5 // 4]
+            which = left[: _enough_for(most - stars)]
             found = self._kinds_of(which)
             is_star = np.flatnonzero(found == STAR)[: most - stars]
             stars += len(is_star)
             done = len(which) if stars < most else is_star[-1] + 1
             kind[which[:done]] = found[:done]
             left = left[done:]
-        long = left[self.long[left]]
+        long = left[self.marks.long[left]]
         if len(long):
             kind[long] = self._kinds_of(long)
         return kind
 
     def _kinds_of(self, which: IntArray) -> IntArray:
         """Class of each of some sources that are no halos."""
-        kind = np.full(len(which), STAR)
-        asked = np.flatnonzero(self.may_be_sharp[which])
-        if len(asked):
-            sharp, shapes = sharp_shapes(self.pixels, which[asked], self.sharpness, self.searched)
-            defect = np.where(shapes[:, PEAK_SHARE] > ONE_PIXEL_SHARE, _ONE_PIXEL, _COSMIC_RAY)
-            kind[asked] = np.where(sharp, defect, STAR)
-        kind[(kind == STAR) & self.long[which]] = _LONG
-        asked = np.flatnonzero((kind == STAR) & ~self.saturated[which])
-        if self.criteria.isolation > 0.0 and len(asked):
-            quiet, isolation, asked_for = self.criteria.quiet, self.criteria.isolation, which[asked]
-            radius_px = np.sqrt(self.table["pixels"][asked_for] / np.pi)
-            clutter = are_clutter(self.searched, self.pixels[asked_for], radius_px, quiet, isolation)
-            kind[asked[clutter]] = _CLUTTER
+        measure_more(self.sharpness, which[self.marks.may_be_sharp[which]], self.pixels, self.searched)
+        kind, limits = np.empty(len(which), np.int64), (self.criteria.quiet, self.criteria.isolation)
+        _judge(self.searched, self.table, which, self.sharpness, self.marks, limits, self.stamp, kind)
         return kind
+
+
+@kernel
+def _judge(
+    searched: Searched, table: Sources, which: IntArray, sharpness: Sharpness, marks: _Marks,
+    limits: tuple[float, float], stamp: Stamp, kind: IntArray,
+) -> None:  # fmt: skip
+    """Class of sources that are no halos; `limits` are those of `is_clutter`."""
+    for n in range(len(which)):
+        source = which[n]
+        x, y, found = table[source]["x_peak"], table[source]["y_peak"], STAR
+        if marks.may_be_sharp[source] and is_sharp(searched, sharpness, source, x, y):
+            found = _ONE_PIXEL if sharpness.shapes[source, PEAK_SHARE] > ONE_PIXEL_SHARE else _COSMIC_RAY
+        elif marks.long[source]:
+            found = _LONG
+        elif limits[1] > 0.0 and not marks.saturated[source]:
+            radius_px = math.sqrt(table[source]["pixels"] / np.pi)
+            found = _CLUTTER if is_clutter(searched, x, y, radius_px, limits[0], limits[1], stamp) else STAR
+        kind[n] = found

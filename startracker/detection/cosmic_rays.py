@@ -18,19 +18,21 @@ from startracker.detection.shapes import (
     shapes_at,
 )
 from startracker.detection.sources import Searched
-from startracker.detection.stamps import are_peaked
+from startracker.detection.stamps import filtered_pixel
 from startracker.detection.thresholds import (
     COMMON_WIDTH_RATIO,
     FEWEST_WIDE,
     HOT_PEAK_SHARE,
     HOT_SHARE,
     MANY_SHARP,
+    PEAK_ERRORS,
     SHARP_ERRORS,
     SHARP_SHARE,
     SHARPEST_STARS_PX2,
     WIDEST_TRACK_PX2,
     WIDTH_SNR,
 )
+from startracker.kernels import kernel_part
 
 FloatImage = NDArray[np.float32]
 
@@ -72,17 +74,19 @@ def common_width(variance: FloatArray) -> float:
     return float(0.5 * (values[(first + last) // 2] + values[(first + last + 1) // 2]))
 
 
-def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched) -> Sharpness:
+def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: int) -> Sharpness:
     """Least variance along the minor axis that a star image of the frame can have.
 
     The stars' common variance is that of the first forty clear ones among the eighty brightest sources that are
     `judged`, or of what is not a hot pixel where hot pixels are nearly all. `pixels` (N, 2) are the sources' brightest,
-    x and y.
+    x and y. The first sources, `ahead` of them, are measured in any case.
     """
     candidates = np.flatnonzero(judged)
     brightest, rest = candidates[: 2 * _WIDTH_STARS], candidates[2 * _WIDTH_STARS :]
+    first = np.zeros(len(pixels), np.bool_)
+    first[:ahead] = first[brightest] = True
     shapes, width = np.full((len(pixels), SHAPE_COLUMNS), np.nan), math.nan
-    examined, weight_px = brightest, _WEIGHT_PX
+    examined, weight_px = np.flatnonzero(first), _WEIGHT_PX
     for attempt in range(_WEIGHTS):
         shapes[examined] = shapes_at(*searched[:3], pixels[examined], weight_px)
         if attempt == _WEIGHTS - 1:
@@ -90,9 +94,9 @@ def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched) -> Sharpn
         clear = shapes[brightest]
         width = common_width(clear[clear[:, SHAPE_SNR] > WIDTH_SNR, MINOR][:_WIDTH_STARS])
         if not width > SHARPEST_STARS_PX2:
-            if examined is brightest and len(rest):
+            if len(rest):
                 shapes[rest] = shapes_at(*searched[:3], pixels[rest], weight_px)
-            examined = candidates
+                examined, rest = np.flatnonzero(first | judged), rest[:0]
             width = _width_beside_pixels(shapes[candidates], width)
         if not width > weight_px**2:
             break
@@ -120,10 +124,16 @@ def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
     return width
 
 
-def sharp_shapes(
-    pixels: IntArray, which: IntArray, sharpness: Sharpness, searched: Searched
-) -> tuple[Flags, FloatArray]:
-    """Whether each of some sources is sharper than the star images of its frame, and their shapes (n, 5).
+def measure_more(sharpness: Sharpness, which: IntArray, pixels: IntArray, searched: Searched) -> None:
+    """Shapes of those of some sources that are not measured yet, into the table of them."""
+    new = which[np.isnan(sharpness.shapes[which, MINOR])]
+    if len(new):
+        sharpness.shapes[new] = shapes_at(*searched[:3], pixels[new], sharpness.weight_px)
+
+
+@kernel_part
+def is_sharp(searched: Searched, sharpness: Sharpness, source: int, x: int, y: int) -> bool:
+    """Whether a source with its brightest pixel at x, y is sharper than the star images of its frame.
 
     The optics spread all light alike; charge that arises in the detector stays in its pixels. Judged is the variance
     along the minor axis: a track is long at most in one direction, and smear widens no star in that one. The sharpest
@@ -133,17 +143,13 @@ def sharp_shapes(
     noise that of such a star with the source's filtered signal: this finds a hot pixel of 9σ, whose moments do not show
     it. Saturated sources, those cut off by the border, and frames whose stars are as sharp as tracks, are not judged.
     """
-    shapes = sharpness.shapes[which]
-    new = np.flatnonzero(np.isnan(shapes[:, MINOR]))
-    if len(new):
-        shapes[new] = shapes_at(*searched[:3], pixels[which[new]], sharpness.weight_px)
-    sharp = shapes[:, MINOR] + SHARP_ERRORS * shapes[:, MINOR_ERROR] < sharpness.limit_px2
-    if sharpness.peak_share < math.inf:
-        other = np.flatnonzero(~sharp)
-        peaked = np.empty(len(other), np.bool_)
-        are_peaked(*searched, pixels[which[other]], sharpness.peak_share, peaked)
-        sharp[other] = peaked
-    return sharp, shapes
+    shapes = sharpness.shapes
+    if shapes[source, MINOR] + SHARP_ERRORS * shapes[source, MINOR_ERROR] < sharpness.limit_px2:
+        return True
+    if not sharpness.peak_share < np.inf:
+        return False
+    filtered, signal = filtered_pixel(searched.image, searched.level, searched.half, x, y)
+    return bool(signal > sharpness.peak_share * filtered + PEAK_ERRORS * np.float64(searched.noise[y, x]))
 
 
 def peak_share(star_sigma_px: float, half: FloatImage) -> float:

@@ -74,7 +74,9 @@ def form_of(row: np.void, max_axis_ratio: float) -> tuple[float, float, float, f
 
 def centres(table: Sources) -> FloatArray:
     """Centres of light (N, 2) of objects, px."""
-    centre: FloatArray = np.column_stack([table["sum_x"], table["sum_y"]]) / table["flux"][:, None]
+    centre, flux = np.empty((len(table), 2)), table["flux"]
+    np.divide(table["sum_x"], flux, centre[:, 0])
+    np.divide(table["sum_y"], flux, centre[:, 1])
     return centre
 
 

@@ -12,6 +12,7 @@ from startracker.detection.background import Background
 from startracker.detection.scan import kernel_half, runs_above, search_rows
 from startracker.detection.values import Image
 from startracker.errors import InputError
+from startracker.sorting import ranked
 
 DEFAULT_SIGMA_PX = 0.8
 """Width where none is given. For stars of σ the filter keeps 2 r / (1 + r²) of the best signal-to-noise ratio, with r
@@ -95,11 +96,9 @@ def search_filtered(
 
 def quantiles(values: NDArray[np.float32], shares: tuple[float, ...]) -> list[float]:
     """Quantiles of finite values, interpolated between neighbours as `numpy.quantile` does."""
-    ordered, last = np.sort(values), len(values) - 1
     found = []
     for share in shares:
-        rank = share * last
-        low = math.floor(rank)
-        below, above = float(ordered[low]), float(ordered[min(low + 1, last)])
-        found.append(below + (rank - low) * (above - below))
+        rank = share * (len(values) - 1)
+        below, above = ranked(values, math.floor(rank))
+        found.append(below + (rank - math.floor(rank)) * (above - below))
     return found

@@ -25,8 +25,8 @@ _PADDING = 17 * _LINE
 """Between the rows of a ring, so that they do not all fall on the same lines of the cache."""
 _WORD = 8
 """Pixels whose marks are one number, and such numbers that are looked at together."""
-_WORKING_ROWS = 3
-"""Rows beside the ring: the filtered one, the limits, the one that comes in."""
+_WORKING_ROWS = 4
+"""Rows beside the ring: the two filtered ones, the limits, the one that comes in."""
 
 FloatImage = NDArray[np.float32]
 
@@ -70,33 +70,51 @@ def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint
 
 @kernel_part
 def _filter_columns(
-    work: FloatImage, rows: Places, half: FloatImage, out: np.uint64, least: np.uint64, marks: NDArray[np.uint8],
+    work: FloatImage, rows: Places, half: FloatImage, out: Places, least: np.uint64, marks: NDArray[np.uint8],
     width: int,
 ) -> None:  # fmt: skip
-    """Correlation along y of rows that begin at the indices given, and marks where it exceeds the limits."""
-    reach = len(half) - 1
-    before, weight = rows[reach], half[0]
-    for k in range(1, reach, 2):
+    """Correlation along y of rows that begin at the indices given, about the two in the middle, and marks of both, one
+    row behind the other, where it exceeds the limits.
+
+    Two rows at a time, as they share four of the five that a narrow filter reads.
+    """
+    middle = len(half) - 1
+    first, second, wide = out[0], out[1], np.uint64(len(marks) // 2)
+    a, b, c, d = rows[middle - 2], rows[middle - 1], rows[middle], rows[middle + 1]
+    e, f = rows[middle + 2], rows[middle + 3]
+    weight, near, far = half[0], half[1], half[2]
+    for x in range(np.uint64(width)):
+        one, two, three, four = work[b + x], work[c + x], work[d + x], work[e + x]
+        value = weight * two + near * (one + three) + far * (work[a + x] + four)
+        other = weight * three + near * (two + four) + far * (one + work[f + x])
+        limit = work[least + x]
+        work[first + x] = value
+        work[second + x] = other
+        marks[x] = value > limit
+        marks[wide + x] = other > limit
+    for k in range(3, middle, 2):
         near, far = half[k], half[k + 1]
-        a, b, c = rows[reach - k], rows[reach + k], rows[reach - k - 1]
-        d = rows[reach + k + 1]
-        for x in range(np.uint64(width)):
-            value = weight * work[before + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
-            work[out + x] = value
-            marks[x] = value > work[least + x]
-        before, weight = out, np.float32(1.0)
+        for row in range(2):
+            centre, total, beside = middle + row, out[row], wide * np.uint64(row)
+            a, b, c = rows[centre - k], rows[centre + k], rows[centre - k - 1]
+            d = rows[centre + k + 1]
+            for x in range(np.uint64(width)):
+                value = work[total + x] + near * (work[a + x] + work[b + x]) + far * (work[c + x] + work[d + x])
+                work[total + x] = value
+                marks[beside + x] = value > work[least + x]
 
 
 @kernel_part
-def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64) -> None:
-    """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond."""
+def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64, lower: bool) -> None:
+    """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond; only
+    where it is lower than what is there, or everywhere."""
     share, lines, cell = noise.share[y], noise.lines, np.uint64(noise.cell[y])
     below = min(cell + np.uint64(1), np.uint64(len(lines) - 1))
     less = np.float32(1.0 - 1e-6)  # for the rounding of the interpolation
     for x in range(np.uint64(lines.shape[1])):
-        upper, lower = lines[cell, x], lines[below, x]
-        value = min(upper, lower) if 0.0 <= share <= 1.0 else upper + share * (lower - upper)
-        work[out + x] = threshold * value * less
+        high, low = lines[cell, x], lines[below, x]
+        value = threshold * (min(high, low) if 0.0 <= share <= 1.0 else high + share * (low - high)) * less
+        work[out + x] = min(value, work[out + x]) if lower else value
 
 
 @kernel_part
@@ -144,15 +162,16 @@ def search_rows(
     """
     height, width = image.shape
     reach = len(half) - 1
-    rows = 2 * reach + 1 + _WORKING_ROWS
+    rows = 2 * reach + 2 + _WORKING_ROWS
     pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
     work = np.zeros(rows * pitch + _LINE, np.float32)
-    starts = (-work.ctypes.data // work.itemsize) % _LINE + np.arange(rows) * pitch
-    marks = np.zeros((width + 63) // 64 * 64, np.uint8)
-    most = height * (len(marks) // _WORD)  # room for all: memory that is never written costs nothing
+    first = (-work.__array_interface__["data"][0] // work.itemsize) % _LINE
+    starts = np.arange(first, first + rows * pitch, pitch, dtype=np.uint64)
+    marks = np.zeros(2 * ((width + 63) // 64 * 64), np.uint8)
+    most = height * (len(marks) // 2 // _WORD)  # room for all: memory that is never written costs nothing
     groups, found = np.empty((most, 2), np.uint64), np.empty((most, _WORD), np.float32)
     sample = np.empty(height * width // stride + 1, np.float32)
-    space = _Space(work, starts.astype(np.uint64), marks, marks.view(np.uint64))
+    space = _Space(work, starts, marks, marks.view(np.uint64))
     rows_found, sampled = _search(
         image, level, noise, half, np.float32(threshold), stride, space, _Found(groups, found, sample)
     )
@@ -166,8 +185,9 @@ class _Space(NamedTuple):
     starts: Places
     """Where its rows begin."""
     marks: NDArray[np.uint8]
+    """Of two rows."""
     words: Places
-    """The marks by eight."""
+    """The same by eight."""
 
 
 class _Found(NamedTuple):
@@ -187,57 +207,61 @@ def _search(
     (work, starts, marks, words), (groups, found, sample) = space, out
     height, width = image.shape
     reach = len(half) - 1
-    size = 2 * reach + 1
-    rows, total, least = starts[:size], starts[size], starts[size + 1]
-    residual = starts[size + 2]
-    cell, cells, shares = -1, noise.cell, noise.share
-    count = samples = index = 0
-    for y in range(height + reach + 1):
-        newest = rows[0]
-        for k in range(size - 1):
-            rows[k] = rows[k + 1]
-        rows[size - 1] = newest
-        if y < height:
-            _residual_row(image, level, y, work, residual)
-            _filter_row(work, residual, half, newest, width)
-        else:
-            for x in range(np.uint64(width)):
-                work[newest + x] = 0.0
-        # a row is looked at when the next comes, as what was just written is not yet there to read
-        done = y - reach - 1
-        if done >= 0:
-            count = _collect_marked(words, work, total, done, groups, found, count)
-            samples = _sample_row(work, total, noise, image, done, (index, stride), sample, samples)
+    size = 2 * reach + 2
+    rows, totals, least, residual = starts[:size], starts[size : size + 2], starts[size + 2], starts[size + 3]
+    cell, count, samples, index = -1, 0, 0, 0
+    for y in range(0, height + reach + 2, 2):
+        oldest, next_oldest = rows[0], rows[1]
+        for k in range(size - 2):
+            rows[k] = rows[k + 2]
+        rows[size - 2], rows[size - 1] = oldest, next_oldest
+        for row in range(y, y + 2):
+            newest = rows[size - 2 + row - y]
+            if row < height:
+                _residual_row(image, level, row, work, residual)
+                _filter_row(work, residual, half, newest, width)
+            else:
+                for x in range(np.uint64(width)):
+                    work[newest + x] = 0.0
+        # rows are looked at when the next come, as what was just written is not yet there to read
+        for row in range(max(y - reach - 2, 0), min(y - reach, height)):
+            total, first = totals[row & 1], np.uint64((row & 1) * len(words) // 2)
+            count = _collect_marked(words, first, work, total, row, groups, found, count)
+            samples = _sample_row(work, total, noise, image, row, (index, stride), sample, samples)
             index += (width - index + stride - 1) // stride * stride - width if index < width else -width
         centre = y - reach
         if not 0 <= centre < height:
             continue
         # first what is above the lower of the two lines' limits, which takes little time, then what is above its own
-        between = 0.0 <= shares[centre] <= 1.0
-        if cells[centre] != cell or not between:
-            _least_limits(work, noise, centre, threshold, least)
-            cell = cells[centre] if between else -1
-        _filter_columns(work, rows, half, total, least, marks, width)
+        for row in range(centre, min(centre + 2, height)):
+            between = 0.0 <= noise.share[row] <= 1.0
+            if noise.cell[row] != cell or not between:
+                _least_limits(work, noise, row, threshold, least, row > centre)
+                cell = noise.cell[row] if between and row == centre else -1
+        _filter_columns(work, rows, half, totals, least, marks, width)
     return count, samples
 
 
 @kernel_part
 def _collect_marked(
-    words: Places, work: FloatImage, total: np.uint64, row: int, groups: Places, found: FloatImage, count: int
-) -> int:
+    words: Places, first: np.uint64, work: FloatImage, total: np.uint64, row: int, groups: Places, found: FloatImage,
+    count: int,
+) -> int:  # fmt: skip
     """Copy the groups of a row in which a pixel is marked; nearly every block of 64 pixels is sky."""
-    for block in range(0, len(words), _WORD):
+    size = np.uint64(_WORD)
+    for block in range(first, first + np.uint64(len(words)) // np.uint64(2), size):
         seen = np.uint64(0)
-        for word in range(block, block + _WORD):
+        for word in range(block, block + size):
             seen |= words[word]
         if seen == 0:
             continue
-        for word in range(block, block + _WORD):
+        for word in range(block, block + size):
             if words[word] == 0:
                 continue
-            groups[count, 0], groups[count, 1] = row, _WORD * word
-            for i in range(_WORD):
-                found[count, i] = work[total + np.uint64(_WORD * word + i)]
+            column = size * (word - first)
+            groups[count, 0], groups[count, 1] = row, column
+            for i in range(size):
+                found[count, i] = work[total + column + i]
             count += 1
     return count
 

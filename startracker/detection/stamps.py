@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
 from startracker.detection.plane import Plane
-from startracker.detection.thresholds import PEAK_ERRORS
 from startracker.detection.values import Image, is_value, is_whole
 from startracker.kernels import kernel, kernel_part
 
 FloatImage = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 
 def stamp_pitch(half: FloatImage, radius: int) -> int:
@@ -74,17 +71,6 @@ def _correlate(
             before = weight * values[at] if k == 1 else out[sums]
             beside = near * (values[at - inner] + values[at + inner])
             out[sums] = before + beside + far * (values[at - outer] + values[at + outer])
-
-
-@kernel
-def are_peaked(
-    image: Image, level: Plane, noise: Plane, half: FloatImage, pixels: IntArray, share: float, out: Flags
-) -> None:
-    """Whether pixels x, y (N, 2) exceed a `share` of their filtered signal by more than their noise allows."""
-    for n in range(len(pixels)):
-        x, y = pixels[n, 0], pixels[n, 1]
-        filtered, signal = filtered_pixel(image, level, half, x, y)
-        out[n] = signal > share * filtered + PEAK_ERRORS * np.float64(noise[y, x])
 
 
 @kernel_part

@@ -20,8 +20,8 @@ _LAG_PX = 5
 """Distance of the pixels whose difference measures the noise: beyond a star image and correlation in photographs."""
 _ROWS, _COLUMNS = 16, 64
 """Where differences are taken: along few rows, as every row of an image must be fetched again."""
-_MEDIAN_ABSOLUTE = 0.67449
-"""Median of a unit normal deviate's absolute value."""
+_SPREAD = 0.67449 * math.sqrt(1.5)
+"""Median of the absolute value of such a difference, for noise of 1."""
 _NOISE_TIMES = 1.5
 """Noise of the tiles over the noise of the pixels above which there is structure in the tiles, a loss of 0.4 mag; it is
 0.8 to 1.15 in photographs of the sky and in frames without structure."""
@@ -38,26 +38,28 @@ def has_structure(image: Image, background: Background) -> bool:
     """
     if min(image.shape) <= 2 * _LAG_PX:
         return False
-    spread = _spread(image, background.noise_plane)
-    return bool(0.0 < spread * _NOISE_TIMES < 1.0)
+    return bool(_is_quiet(image, background.noise_plane))
 
 
 @kernel
-def _spread(image: Image, noise: Plane) -> float:
-    """Robust standard deviation of the differences of a thousand pixels, in units of the background's noise."""
+def _is_quiet(image: Image, noise: Plane) -> bool:
+    """Whether the robust standard deviation of the differences of a thousand pixels, in units of the background's
+    noise, is below the limit in both directions, and not zero in one: the medians are compared by counting."""
     height, width = image.shape
-    down, right, largest = max(1, height // _ROWS), max(1, width // _COLUMNS), 0.0
-    values = np.empty((height // down + 1) * (width // right + 1), np.float32)
+    down, right = max(1, height // _ROWS), max(1, width // _COLUMNS)
+    quiet, moving = True, False
     for dy, dx in ((0, _LAG_PX), (_LAG_PX, 0)):
-        count = 0
+        count = below = equal = 0
         for y in range(_LAG_PX, height - _LAG_PX, down):
             for x in range(_LAG_PX, width - _LAG_PX, right):
                 beside = np.float64(image[y - dy, x - dx]) + np.float64(image[y + dy, x + dx])
-                values[count] = abs(np.float64(image[y, x]) - 0.5 * beside) / noise[y, x]
-                count += int(is_value(values[count]))
-        if count:
-            largest = max(largest, select_kth(values, 0, count, count // 2))
-    return largest / (_MEDIAN_ABSOLUTE * math.sqrt(1.5))
+                value = np.float32(abs(np.float64(image[y, x]) - 0.5 * beside) / noise[y, x])
+                count += int(is_value(value))
+                below += int(value / _SPREAD * _NOISE_TIMES < 1.0)
+                equal += int(value <= 0.0)
+        quiet &= below > count // 2 or count == 0
+        moving |= equal <= count // 2 and count > 0
+    return quiet and moving
 
 
 def follow_structure(image: Image, tile_px: int = 64) -> Background:

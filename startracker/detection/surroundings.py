@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.arrays import IntArray
 from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.detection.tiles import select_kth
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part
 
 _RING_PX = 8
 _GAP_PX = 2
@@ -23,7 +24,6 @@ _INFINITE_BITS = np.float32(np.inf).view(np.int32)
 FloatImage = NDArray[np.float32]
 
 Masks = NDArray[np.int32]
-Flags = NDArray[np.bool_]
 
 
 class Rings(NamedTuple):
@@ -61,6 +61,7 @@ def rings_of(taps: int) -> Rings:
 class Stamp(NamedTuple):
     """Working space for the filtered image about a candidate."""
 
+    rings: Rings
     filtered: FloatImage
     bits: Masks
     """The same memory as integers."""
@@ -68,8 +69,19 @@ class Stamp(NamedTuple):
     sample: FloatImage
 
 
-def are_clutter(searched: Searched, peaks: IntArray, radius_px: FloatArray, quiet: float, isolation: float) -> Flags:
-    """Which candidates, given by their brightest pixels x, y (N, 2), fail to stand out of the ring around them.
+def new_stamp(taps: int) -> Stamp:
+    """Working space for a filter of so many `taps`."""
+    rings = rings_of(taps)
+    pixels = rings.masks.shape[1]
+    filtered, sample = np.empty(pixels, np.float32), np.empty(rings.positions.shape[1] + 1, np.float32)
+    return Stamp(rings, filtered, filtered.view(np.int32), np.empty(2 * pixels, np.float32), sample)
+
+
+@kernel_part
+def is_clutter(
+    searched: Searched, x: int, y: int, radius_px: float, quiet: float, isolation: float, stamp: Stamp
+) -> bool:
+    """Whether a candidate, given by its brightest pixel, fails to stand out of the ring around it.
 
     The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors, whose maxima count. One
     neighbour fills two of them, three with its wings; branches and leaves fill most. The candidate must be `isolation`
@@ -77,33 +89,16 @@ def are_clutter(searched: Searched, peaks: IntArray, radius_px: FloatArray, quie
 
     All this is asked of the image after the filter, see `startracker.detection.scan`.
     """
-    rings = rings_of(len(searched.half))
-    pixels, out = rings.masks.shape[1], np.empty(len(peaks), np.bool_)
-    filtered, sample = np.empty(pixels, np.float32), np.empty(rings.positions.shape[1] + 1, np.float32)
-    stamp = Stamp(filtered, filtered.view(np.int32), np.empty(2 * pixels, np.float32), sample)
-    ring = np.minimum(np.ceil(radius_px), _LARGEST_RADIUS_PX).astype(np.int64)
-    _mark_clutter(searched, np.column_stack([peaks, ring]), quiet, isolation, rings, stamp, out)
-    return out
-
-
-@kernel
-def _mark_clutter(
-    searched: Searched, candidates: IntArray, quiet: float, isolation: float, rings: Rings, stamp: Stamp, out: Flags
-) -> None:
-    """Which candidates, given by x, y and number of the ring (N, 3), are clutter: see `are_clutter`."""
-    half, filtered = searched.half, stamp.filtered
-    for n in range(len(candidates)):
-        ring = candidates[n, 2]
-        outer = ring + _GAP_PX + _RING_PX
-        pitch = 2 * (outer + len(half)) - 1
-        x, y = candidates[n, 0], candidates[n, 1]
-        filter_stamp(searched.image, searched.level, half, x, y, outer, stamp.work, filtered)
-        # most rings have nothing in them, which needs no sectors
-        calm = _is_calm(filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet)
-        height = np.float64(filtered[outer * pitch + outer])
-        out[n] = not calm and _is_clutter(
-            filtered, stamp.sample, rings.positions[ring], rings.ends[ring], height, quiet, isolation
-        )
+    half, filtered, rings = searched.half, stamp.filtered, stamp.rings
+    ring = min(math.ceil(radius_px), _LARGEST_RADIUS_PX)
+    outer = ring + _GAP_PX + _RING_PX
+    pitch = 2 * (outer + len(half)) - 1
+    filter_stamp(searched.image, searched.level, half, x, y, outer, stamp.work, filtered)
+    # most rings have nothing in them, which needs no sectors
+    if _is_calm(filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet):
+        return False
+    height = np.float64(filtered[outer * pitch + outer])
+    return bool(_is_exceeded(filtered, stamp.sample, rings.positions[ring], rings.ends[ring], height, quiet, isolation))
 
 
 @kernel_part
@@ -127,11 +122,11 @@ def _is_calm(stamp: FloatImage, bits: Masks, mask: Masks, count: int, quiet: flo
 
 
 @kernel_part
-def _is_clutter(
+def _is_exceeded(
     stamp: FloatImage, sample: FloatImage, positions: IntArray, ends: IntArray, height: float, quiet: float,
     isolation: float,
 ) -> bool:  # fmt: skip
-    """Whether a candidate of a `height` fails to stand out of the maxima of its ring's sectors: see `are_clutter`."""
+    """Whether a candidate of a `height` fails to stand out of the maxima of its ring's sectors: see `is_clutter`."""
     # numbers without a sign as indices: one that may be negative costs a comparison each time
     n, count, zero = np.uint64(0), np.uint64(0), np.float32(0.0)
     first = second = third = fourth = zero

@@ -71,10 +71,12 @@ def whole_step(values: NDArray[Any]) -> int:
             return 0
     if not len(values):
         return 0
-    gaps = values.astype(np.int64) - int(values[0])
     # most images have the step 1, which a few values show
-    few = int(np.gcd.reduce(gaps[:_FEW_VALUES]))
-    return few if few == 1 else max(int(np.gcd.reduce(gaps)), 1)
+    for some in (values[:_FEW_VALUES], values):
+        step = int(np.gcd.reduce(some.astype(np.int64) - int(values[0])))
+        if step == 1:
+            break
+    return max(step, 1)
 
 
 @kernel
@@ -199,36 +201,54 @@ def _fill_statistics(
 def smooth_tiles(tiles: FloatArray) -> FloatArray:
     """3×3 median over tiles (…, R, C); outside, the map goes on linearly, so that a plane stays as it is."""
     rows, columns = tiles.shape[-2:]
-    padded = np.empty((*tiles.shape[:-2], rows + 2, columns + 2))
-    padded[..., 1:-1, 1:-1] = tiles
-    padded[..., 0, 1:-1] = 2.0 * tiles[..., 0, :] - tiles[..., min(1, rows - 1), :]
-    padded[..., -1, 1:-1] = 2.0 * tiles[..., -1, :] - tiles[..., max(rows - 2, 0), :]
-    padded[..., 0] = 2.0 * padded[..., 1] - padded[..., min(2, columns)]
-    padded[..., -1] = 2.0 * padded[..., columns] - padded[..., max(columns - 1, 1)]
-    # the median of nine is that of the largest least, the middle middle and the least largest of its rows sorted
-    a, b, c = padded[..., :-2], padded[..., 1:-1], padded[..., 2:]
-    low, middle, high = np.minimum(np.minimum(a, b), c), _middle(a, b, c), np.maximum(np.maximum(a, b), c)
-    return _middle(
-        np.maximum(np.maximum(low[..., :-2, :], low[..., 1:-1, :]), low[..., 2:, :]),
-        _middle(middle[..., :-2, :], middle[..., 1:-1, :], middle[..., 2:, :]),
-        np.minimum(np.minimum(high[..., :-2, :], high[..., 1:-1, :]), high[..., 2:, :]),
-    )
+    out = np.empty(tiles.shape)
+    _smooth(tiles.reshape(-1, rows, columns), np.empty((rows + 2, columns + 2)), out.reshape(-1, rows, columns))
+    return out
 
 
-def _middle(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    return np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+@kernel
+def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
+    rows, columns = tiles.shape[1], tiles.shape[2]
+    # the border, the two lines that it goes on from
+    down = ((0, 1, min(2, rows)), (rows + 1, rows, max(rows - 1, 1)))
+    across = ((0, 1, min(2, columns)), (columns + 1, columns, max(columns - 1, 1)))
+    for n in range(len(tiles)):
+        for r in range(rows):
+            for c in range(columns):
+                padded[r + 1, c + 1] = tiles[n, r, c]
+        for border, near, far in down:
+            for c in range(1, columns + 1):
+                padded[border, c] = 2.0 * padded[near, c] - padded[far, c]
+        for border, near, far in across:
+            for r in range(rows + 2):
+                padded[r, border] = 2.0 * padded[r, near] - padded[r, far]
+        for r in range(rows):
+            for c in range(columns):
+                # the median of nine is that of the largest least, the middle middle and the least largest of its rows
+                low, high, first, second, third = -np.inf, np.inf, 0.0, 0.0, 0.0
+                for j in range(r, r + 3):
+                    a, b, d = padded[j, c], padded[j, c + 1], padded[j, c + 2]
+                    low, high = max(low, min(a, b, d)), min(high, max(a, b, d))
+                    first, second, third = second, third, _middle(a, b, d)
+                out[n, r, c] = _middle(low, _middle(first, second, third), high)
+
+
+@kernel_part
+def _middle(a: float, b: float, c: float) -> float:
+    return max(min(a, b), min(max(a, b), c))
 
 
 @lru_cache(maxsize=16)
-def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64], FloatArray]:
-    """Lower of the two tiles between whose centres each pixel of an axis lies, and how far it is to the upper one."""
+def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
+    """Lower of the two tiles between whose centres each pixel of an axis lies, the first pixel of each (and the end),
+    and how far a pixel is to the upper one."""
     if tiles == 1:
-        return np.zeros(size, np.int64), np.zeros(size)
+        return np.zeros(size, np.int64), np.array([0, size]), np.zeros(size)
     k = np.arange(tiles)
     centre, pixel = 0.5 * (k * size // tiles + (k + 1) * size // tiles - 1), np.arange(size)
     cell = np.clip(np.searchsorted(centre, pixel, side="right") - 1, 0, tiles - 2)
     share = (pixel - centre[cell]) / (centre[cell + 1] - centre[cell])
-    return cell, share if extrapolate else np.clip(share, 0.0, 1.0)
+    return cell, np.searchsorted(cell, k), share if extrapolate else np.clip(share, 0.0, 1.0)
 
 
 def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: bool) -> Plane:
@@ -237,17 +257,17 @@ def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: b
     Beyond the outermost centres the map goes on linearly or stays constant.
     """
     rows, columns = tiles.shape
-    cell_y, share_y = _cells(rows, height, extrapolate)
-    cell_x, share_x = _cells(columns, width, extrapolate)
+    cell, _, share = _cells(rows, height, extrapolate)
     lines = np.empty((rows, width), np.float32)
-    _interpolate(tiles, np.minimum(cell_x + 1, columns - 1), cell_x, share_x, lines)
-    return Plane(lines, cell_y, share_y.astype(np.float32))
+    _interpolate(tiles, *_cells(columns, width, extrapolate)[1:], lines)
+    return Plane(lines, cell, share.astype(np.float32))
 
 
 @kernel
-def _interpolate(
-    tiles: FloatArray, right: NDArray[np.int64], left: NDArray[np.int64], share: FloatArray, lines: NDArray[np.float32]
-) -> None:
+def _interpolate(tiles: FloatArray, first: NDArray[np.int64], share: FloatArray, lines: NDArray[np.float32]) -> None:
     for r in range(len(tiles)):
-        for x in range(len(share)):
-            lines[r, x] = tiles[r, left[x]] + share[x] * (tiles[r, right[x]] - tiles[r, left[x]])
+        for cell in range(len(first) - 1):
+            left = tiles[r, cell]
+            rise = tiles[r, min(cell + 1, tiles.shape[1] - 1)] - left
+            for x in range(np.uint64(first[cell]), np.uint64(first[cell + 1])):
+                lines[r, x] = left + share[x] * rise

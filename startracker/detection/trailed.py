@@ -40,7 +40,6 @@ _LOOKED_AT = 30
 _WHOLE_PIXELS = 12
 _BRIGHTEST, _NEIGHBOUR_PX, _DIRECTIONS = 150, 40.0, 18
 """Objects, distance and bins of 10° in which pairs are counted that may be pieces of one trail."""
-_BEFORE, _AFTER = ((np.arange(_DIRECTIONS) + step) % _DIRECTIONS for step in (-1, 1))
 _WEIGHTS_PX = (1.2, 2.4, 4.8)
 """Gaussian weights under which widths are measured: the first that is wider than the star images."""
 
@@ -62,17 +61,18 @@ def line_up(table: Sources) -> float | None:
     """
     flux = table["flux"]
     count = len(flux) if len(flux) <= _BRIGHTEST else np.count_nonzero(flux >= flux[_BRIGHTEST - 1])
-    xy = np.column_stack([table["x_peak"][:count], table["y_peak"][:count]]).astype(np.float64)
-    pairs = np.zeros(_DIRECTIONS, np.int64)
-    _count_directions(xy, pairs)
-    if 3 * pairs.max() < FEWEST_ALIGNED:  # no three directions beside each other have enough
-        return None
-    three = pairs + pairs[_BEFORE] + pairs[_AFTER]
-    most, mean = int(np.argmax(three)), 3.0 * pairs.sum() / _DIRECTIONS
+    xy = np.empty((count, 2))
+    xy[:, 0], xy[:, 1] = table["x_peak"][:count], table["y_peak"][:count]
+    counts = np.zeros(_DIRECTIONS, np.int64)
+    _count_directions(xy, counts)
+    pairs = counts.tolist()
+    beside = list(zip(pairs[-1:] + pairs[:-1], pairs, pairs[1:] + pairs[:1], strict=True))
+    three = [sum(counted) for counted in beside]
+    most, mean = three.index(max(three)), 3.0 * sum(pairs) / _DIRECTIONS
     if three[most] < max(FEWEST_ALIGNED, mean + ALIGNED_SIGMA * math.sqrt(mean)):
         return None
-    above = np.maximum(pairs[np.arange(most - 1, most + 2) % _DIRECTIONS] - mean / 3.0, 0.0)
-    return float((most + 0.5 + (above[2] - above[0]) / above.sum()) * math.pi / _DIRECTIONS)
+    before, middle, after = (max(count - mean / 3.0, 0.0) for count in beside[most])
+    return (most + 0.5 + (after - before) / (before + middle + after)) * math.pi / _DIRECTIONS
 
 
 @kernel

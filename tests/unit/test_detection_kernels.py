@@ -16,7 +16,7 @@ from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import measure_shapes
 from startracker.detection.sources import SOURCE, Searched, join_tables
 from startracker.detection.stamps import filter_stamp, stamp_pitch
-from startracker.detection.surroundings import are_clutter
+from startracker.detection.surroundings import is_clutter, new_stamp
 from startracker.detection.tiles import find_kth, smooth_tiles, tile_statistics, whole_step
 from startracker.detection.values import as_image, as_pixels, is_value, whole_range
 
@@ -171,7 +171,8 @@ def test_clutter_against_its_definition(missing):
         median = np.sort(image[ring])[ring.sum() // 2]
         fourth = np.sort(tops)[4] - median
         expected[n] = fourth > 4.0 and 12.0 - median < 2.0 * fourth
-    found = are_clutter(Searched(image, level, level, UNFILTERED), np.stack([x, y], axis=1), radius, 4.0, 2.0)
+    searched, stamp = Searched(image, level, level, UNFILTERED), new_stamp(len(UNFILTERED))
+    found = [is_clutter(searched, x[n], y[n], radius[n], 4.0, 2.0, stamp) for n in range(80)]
     assert np.array_equal(found, expected)
     assert 5 < expected.sum() < 75
 
