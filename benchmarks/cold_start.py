@@ -1,10 +1,11 @@
 """Start-up of a fresh installation: time to compile the kernels before the first result.
 
-    python -m benchmarks.cold_start [--what run solve] [--image FILE] [--least-s 0.3] [--signatures] [--write]
+    python -m benchmarks.cold_start [--what run solve] [--scenario FILE] [--image FILE] [--least-s 0.3] [--signatures]
+        [--write]
 
-Each command runs in a separate process with an empty ``NUMBA_CACHE_DIR``. The tables give the CPU time of compilation
-by package, module and kernel, without that of the called kernels. "NumPy and Python" are library functions compiled
-into ours, such as ``np.sort``.
+Each command runs in a separate process with an empty ``NUMBA_CACHE_DIR``; Python's byte code is on disk. The tables
+give the CPU time of compilation by package, module and kernel, without that of the called kernels. "NumPy and Python"
+are library functions compiled into ours, such as ``np.sort``.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ def main() -> None:
         return
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--what", nargs="+", choices=sorted(TARGET_CPU_S), default=["run", "solve"])
+    parser.add_argument("--scenario", type=Path, default=ROOT / "scenarios" / "cubesat.yaml", help="scenario to run")
     parser.add_argument("--image", type=Path, help="photograph to solve; default: one of ../shared/sky, or a frame")
     parser.add_argument("--least-s", type=float, default=0.3, help="kernels of less processor time are not listed")
     parser.add_argument("--write", action="store_true", help="write the list of expected kernels")
@@ -81,7 +83,7 @@ def main() -> None:
     for what in asked.what:
         with tempfile.TemporaryDirectory() as folder:
             if what == "run":
-                found = measure(["run", str(ROOT / "scenarios" / "cubesat.yaml"), *_RUN, f"{folder}/out"], Path(folder))
+                found = measure(["run", str(asked.scenario.resolve()), *_RUN, f"{folder}/out"], Path(folder))
             else:
                 found = measure(["solve", str(asked.image or _image(Path(folder)))], Path(folder))
         _print(what, found, asked.least_s, asked.signatures)
@@ -97,6 +99,7 @@ def measure(command: list[str], folder: Path) -> ColdStart:
     """Run a command of ``boresight`` with an empty cache in `folder`, and again with the filled cache."""
     child = [sys.executable, "-m", "benchmarks.cold_start", "--child", str(folder / "compiled.json"), *command]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "numba"), "OMP_NUM_THREADS": "1"}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # it is written once for an installation
     cpu_s, wall_s = _times(child, environment)
     compiled = [Compiled(**row) for row in json.loads((folder / "compiled.json").read_text())]
     return ColdStart(cpu_s, wall_s, *_times(child, environment), compiled)

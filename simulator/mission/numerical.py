@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.integrate import DOP853
 
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.forces import Forces
@@ -31,6 +30,8 @@ class _March:
     """Integration in one direction from the epoch, as far as was asked for."""
 
     def __init__(self, forces: Forces, start: FloatArray, direction: float) -> None:
+        from scipy.integrate import DOP853
+
         limit = direction * _SPAN_DAYS * SECONDS_PER_DAY
         self._solver = DOP853(
             forces.derivative(),

@@ -11,7 +11,7 @@ import difflib
 import inspect
 import math
 import re
-import textwrap
+import sys
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -98,12 +98,17 @@ def is_section(kind: Any) -> bool:
 def _descriptions(section: type) -> dict[str, str]:
     """Descriptions of the keys of a section: the strings below its fields, or the ``Parameters`` of its docstring."""
     words = {k: v for kind in reversed(section.__mro__) for k, v in _parameter_docs(kind.__doc__ or "").items()}
-    (declared,) = ast.parse(textwrap.dedent(inspect.getsource(section))).body
-    assert isinstance(declared, ast.ClassDef)
-    for field, below in pairwise(declared.body):
+    for field, below in pairwise(_classes(section.__module__)[section.__name__].body):
         if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
             words[ast.unparse(field.target)] = str(below.value.value)
     return {name: " ".join(text.split()) for name, text in words.items()}
+
+
+@cache
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    """Classes of a module as they are written; `inspect.getsource` would parse the module for each of them."""
+    declared = ast.parse(inspect.getsource(sys.modules[module])).body
+    return {each.name: each for each in declared if isinstance(each, ast.ClassDef)}
 
 
 def all_keys(section: type = ScenarioModel, prefix: str = "") -> Iterator[Key]:

@@ -59,7 +59,7 @@ def frame_preview(frame: Frame, truth: FrameTruth) -> Figure:
 def solved_image(image: NDArray[Any], solution: Solution) -> Figure:
     """An image as the camera sees it, with its detections and its identified stars."""
     figure, ax = _image_figure(image.shape)
-    draw_solution(ax, shades_of(image), solution)
+    draw_solution(ax, shades_of(image), solution, title_of(solution))
     return figure
 
 
@@ -88,7 +88,15 @@ def shades_of(image: NDArray[Any], preview_px: int | None = None) -> Shades:
     return Shades(np.round(np.round(greys * shown) * (255.0 / greys)).astype(np.uint8), width, height)
 
 
-def draw_solution(ax: Axes, shades: Shades, solution: Solution, names: int = 25) -> None:
+def title_of(solution: Solution) -> str:
+    """Attitude and field of a solution, or why there is none."""
+    if not solution.solved:
+        return f"{solution.status}: {solution.reason}"
+    field = f"  field {solution.camera.fov_text}" if solution.camera else ""
+    return f"RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}"
+
+
+def draw_solution(ax: Axes, shades: Shades, solution: Solution, title: str, names: int = 25) -> None:
     """Draw an image with what was detected and identified, the brightest `names` stars by name."""
     _show_sky(ax, shades)
     if len(solution.centroids):
@@ -97,14 +105,8 @@ def draw_solution(ax: Axes, shades: Shades, solution: Solution, names: int = 25)
     if solution.matched:
         ax.plot(*solution.stars.xy.T, "o", ms=_MARK_POINTS, mfc="none", mec=_IDENTIFIED, mew=1.0,
                 label=f"identified ({solution.matched})")  # fmt: skip
-    if solution.solved:
-        field = f"  field {solution.camera.fov_text}" if solution.camera else ""
-        ax.set_title(
-            f"RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}",
-            fontsize=6.5 if ax.get_window_extent().width < 450 else 9,
-        )
-    else:
-        ax.set_title(f"{solution.status}: {solution.reason}", fontsize=9, wrap=True)
+    small = solution.solved and ax.get_window_extent().width < 450
+    ax.set_title(title, fontsize=6.5 if small else 9, wrap=not solution.solved)
     if ax.get_legend_handles_labels()[0]:
         ax.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=3, frameon=False)
     stars = solution.stars
@@ -124,9 +126,7 @@ def _show_sky(ax: Axes, shades: Shades, *, axes: bool = False) -> None:
     """Show the pixels, positive, with pixel axes only where they are asked for."""
     width, height = shades.width, shades.height
     extent = (-0.5, width - 0.5, height - 0.5, -0.5)
-    ax.imshow(
-        shades.grey, cmap="gray", vmin=0, vmax=255, origin="upper", interpolation="nearest", extent=extent, zorder=0
-    )
+    ax.imshow(shades.grey, cmap="gray", vmin=0, vmax=255, origin="upper", interpolation="none", extent=extent, zorder=0)
     ax.grid(visible=False)
     ax.set_xlim(-0.5, width - 0.5)
     ax.set_ylim(height - 0.5, -0.5)

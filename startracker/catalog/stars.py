@@ -82,6 +82,11 @@ class StarCatalog:
                 raise InputError(f"catalogue {self.name}: column '{column}' has {array.shape} values, not ({n},)")
             object.__setattr__(self, column, array)
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Unpickled columns are read-only again: for writeable ones, another type, kernels would be compiled again."""
+        for name, value in state.items():
+            object.__setattr__(self, name, read_only(value) if isinstance(value, np.ndarray) else value)
+
     @classmethod
     def columns(cls) -> list[str]:
         """Names of the columns."""

@@ -1,4 +1,5 @@
 import os
+import pickle
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -252,3 +253,4 @@ def test_columns_are_copied_only_where_somebody_could_change_them():
         writeable[0] = catalog.v_mag[0]
     chosen = catalog.select(np.arange(5))
     assert not chosen.v_mag.flags.writeable
+    assert not pickle.loads(pickle.dumps(chosen)).v_mag.flags.writeable

@@ -4,18 +4,14 @@ import io
 import pickle
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from simulator import Scenario
 from simulator.study.trials import warm_up
 from startracker import Camera, StarTracker
 
-SCENARIO = Scenario.load(Path(__file__).parents[2] / "scenarios" / "cubesat_ideal.yaml")
-CAMERA = Camera.from_fov(fov_deg=10.0, width=512, height=512)
-RUNNER = SimpleNamespace(scenario=SCENARIO, renderer=SimpleNamespace(camera=CAMERA))
+RUNNER = SimpleNamespace(tracker=StarTracker(Camera.from_fov(fov_deg=10.0, width=512, height=512)))
 
 
 def test_its_list_of_stars_is_solved(monkeypatch):
@@ -27,7 +23,7 @@ def test_its_list_of_stars_is_solved(monkeypatch):
 
     solve_centroids = StarTracker.solve_centroids
     monkeypatch.setattr(StarTracker, "solve_centroids", solve)
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(pickle.dumps((SCENARIO, CAMERA)))))
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(pickle.dumps(RUNNER.tracker))))
     warm_up.solve_field()
     assert [solution.status for solution in solutions] == ["solved"]
 
@@ -49,6 +45,14 @@ def test_its_process_ends_with_the_context(monkeypatch, kill):
     with warm_up.compiling_beside(RUNNER):
         assert len(started) == 1
     assert started[0].returncode is not None
+
+
+def test_a_tracker_that_cannot_be_sent_is_compiled_by_one_process(monkeypatch):
+    monkeypatch.setattr(warm_up, "is_compiled", lambda task: False)
+    monkeypatch.setattr(warm_up, "_cores", lambda: 2)
+    monkeypatch.setattr(subprocess, "Popen", lambda *arguments, **named: pytest.fail("a process was started"))
+    with warm_up.compiling_beside(SimpleNamespace(tracker=lambda: None)):
+        pass
 
 
 @pytest.mark.parametrize(("compiled", "cores"), [(True, 2), (False, 1)])

@@ -8,18 +8,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario import Scenario
 from simulator.study.html_page import Table, provenance, verdict_table
 from simulator.study.intervals import wilson_interval
-from simulator.study.specification.measured import judge_frames
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
 from simulator.study.texts import percent_text
+
+if TYPE_CHECKING:
+    from simulator.scenario import Scenario
 
 Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20
@@ -72,6 +73,8 @@ def content_of(
     budget : mapping, optional
         As in ``budget.json``, if ``boresight study budget`` has been run.
     """
+    from simulator.study.specification.measured import judge_frames  # not loaded where pages are drawn
+
     judged = judge_frames(scenario, columns)
     notes = [f"Unphysical value permitted by the scenario: {reason}" for reason in summary["unphysical"]]
     if summary["interrupted"]:

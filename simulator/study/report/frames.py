@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
-from simulator.study.pictures import draw_solution, shades_of
+from simulator.study.pictures import draw_solution, shades_of, title_of
 from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import AXES
 from simulator.study.style import Panel
@@ -58,7 +58,13 @@ def frame_panels(
         made[index] = Panel(
             f"Trial {index}, the {what}",
             f"boresight render scenario.resolved.yaml --index {index} --preview trial-{index}.png",
-            functools.partial(draw_solution, shades=shades_of(frame.image, 512), solution=solution, names=8),
+            functools.partial(
+                draw_solution,
+                shades=shades_of(frame.image, 512),
+                solution=solution,
+                title=title_of(solution),  # here, as its kernels are loaded
+                names=8,
+            ),
             height_in=4.2 * min(1.3, height / width) + 0.35,
         )
     return [(panel, index) for index, panel in made.items()]

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from simulator.scenario import Scenario
 from simulator.study.html_page import TONES, drawn, render_page
 from simulator.study.report.content import Content, content_of
 from simulator.study.report.drawing import drawn_apart
 from simulator.study.report.figures import Panels, panels
-from simulator.study.report.frames import frame_panels
 from simulator.study.specification.requirements import specification_of
 from simulator.study.style import Panel
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
+    from simulator.scenario import Scenario
     from simulator.study.trials.trial import TrialRunner
 
 
@@ -27,15 +26,19 @@ if TYPE_CHECKING:
 class Report:
     """Text and figures of a report, before layout."""
 
-    scenario: Scenario
+    name: str
+    description: str
+    """Of the scenario."""
     summary: Mapping[str, Any]
-    """The scenario, and its ``summary.json``."""
+    """Its ``summary.json``."""
     content: Content
     """Text and tables."""
     panels: Panels
     """Figures of the statistics."""
     frames: list[tuple[Panel, int]]
     """Example frames and the indices of their trials."""
+    resolved: str
+    """The scenario as YAML."""
 
 
 def build_report(
@@ -61,13 +64,17 @@ def build_report(
     budget : mapping, optional
         As in ``budget.json``.
     """
+    from simulator.study.report.frames import frame_panels  # with the renderer, not loaded where pages are drawn
+
     specification = specification_of(scenario)
     return Report(
-        scenario,
+        scenario.name,
+        scenario.description,
         summary,
         content_of(scenario, summary, columns, budget),
         panels(columns, specification, load_catalog(scenario.sky.catalog)),
         frame_panels(scenario, columns, specification, runner),
+        scenario.to_yaml(),
     )
 
 
@@ -75,7 +82,8 @@ def html_of(report: Report) -> str:
     """The report as one page without scripts or external links, in light and dark, for desktop, phone and print."""
     return render_page(
         "report/report.html.j2",
-        scenario=report.scenario,
+        name=report.name,
+        description=report.description,
         summary=report.summary,
         content=report.content,
         tone=TONES[report.content.answer.state],
@@ -83,7 +91,7 @@ def html_of(report: Report) -> str:
         trends=[drawn(panel, f"t{i}") for i, panel in enumerate(report.panels.trends)],
         wide=[drawn(panel, f"w{i}") for i, panel in enumerate(report.panels.wide)],
         frames=[drawn(panel, f"f{i}", f"trial-{index}") for i, (panel, index) in enumerate(report.frames)],
-        resolved=report.scenario.to_yaml(),
+        resolved=report.resolved,
     )
 
 

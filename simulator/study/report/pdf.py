@@ -39,14 +39,14 @@ def pdf_of(report: Report) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages
 
     stream = io.BytesIO()
-    scenario, content = report.scenario, report.content
+    content = report.content
     with (
         style(),
-        PdfPages(stream, metadata={"Title": f"{scenario.name}: boresight study", "CreationDate": None}) as pages,
+        PdfPages(stream, metadata={"Title": f"{report.name}: boresight study", "CreationDate": None}) as pages,
     ):
         paper = Paper(pages, content.provenance)
-        paper.text(scenario.name, 18, weight="bold")
-        paper.text(scenario.description, 9, colour=SOFT)
+        paper.text(report.name, 18, weight="bold")
+        paper.text(report.description, 9, colour=SOFT)
         paper.text(content.provenance, 8, colour=SOFT)
         paper.text(f"{content.answer.verdict} {content.answer.margin}", 11, weight="bold")
         paper.table(content.answer.axes)
@@ -78,9 +78,8 @@ def pdf_of(report: Report) -> bytes:
         paper.text(", ".join(f"{name} {number}" for name, number in report.summary["versions"].items()), 8, colour=SOFT)
         paper.heading("Scenario, with all defaults")
         # without comments, which take three pages and are in scenario.resolved.yaml
-        paper.lines(
-            [line for line in scenario.to_yaml().splitlines() if line.strip() and not line.strip().startswith("#")]
-        )
+        lines = report.resolved.splitlines()
+        paper.lines([line for line in lines if line.strip() and not line.strip().startswith("#")])
         paper.end()
     return stream.getvalue()
 

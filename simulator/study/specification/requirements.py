@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.scenario import Scenario
-from simulator.scenario.schema_specification import SPECIFIED_AXES
+if TYPE_CHECKING:
+    from simulator.scenario import Scenario
 
 AVAILABILITY, WRONG_RATE, ACQUISITION = "availability", "wrong_rate", "acquisition"
 """Names of the requirements that are not on errors."""
@@ -85,6 +85,8 @@ def error_about(error_deg: Mapping[str, Any], axis: str) -> NDArray[np.float64]:
 
 def specification_of(scenario: Scenario) -> Specification:
     """Requirements of a scenario, axes first, in the order of the schema."""
+    from simulator.scenario.schema_specification import SPECIFIED_AXES
+
     section = scenario.specification
     requirements = []
     for axis in SPECIFIED_AXES:

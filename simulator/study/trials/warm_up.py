@@ -11,15 +11,19 @@ import os
 import pickle
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from simulator.scenario import Scenario
 from simulator.study.trials.stopping import no_interrupt_for_children
-from simulator.study.trials.trial import TrialRunner, build_tracker
 from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.errors import BoresightError
 from startracker.kernels import is_compiled
+
+if TYPE_CHECKING:
+    from simulator.scenario import Scenario
+    from simulator.study.trials.trial import TrialRunner
+    from startracker.tracker import StarTracker
 
 _TASK = "run"
 _ORION_RA_DEG, _ORION_DEC_DEG = 83.0, 0.0
@@ -30,6 +34,8 @@ def warm_up(scenario: Scenario) -> None:
 
     Once, on two cores, instead of in every worker.
     """
+    from simulator.study.trials.trial import TrialRunner
+
     if is_compiled(_TASK):
         return
     runner = TrialRunner(scenario)
@@ -47,18 +53,26 @@ def compiling_beside(runner: TrialRunner) -> Iterator[None]:
     if is_compiled(_TASK) or _cores() < 2:
         yield
         return
-    command = [sys.executable, "-c", "from simulator.study.trials.warm_up import solve_field; solve_field()"]
-    nowhere = subprocess.DEVNULL
-    with no_interrupt_for_children():
-        beside = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere)
-    assert beside.stdin is not None
+    beside = _started(runner.tracker)
     try:
-        with contextlib.suppress(OSError), beside.stdin as sent:  # a process that has been killed reads nothing
-            pickle.dump((runner.scenario, runner.renderer.camera), sent)
         yield
     finally:
-        beside.terminate()
-        beside.wait()
+        if beside is not None:
+            beside.terminate()
+            beside.wait()
+
+
+def _started(tracker: StarTracker) -> subprocess.Popen[bytes] | None:
+    """The other process; None if there is no room for the file by which it receives the tracker, or a plug-in's
+    function cannot be pickled."""
+    command = [sys.executable, "-c", "from simulator.study.trials.warm_up import solve_field; solve_field()"]
+    nowhere = subprocess.DEVNULL
+    errors = OSError, pickle.PicklingError, AttributeError, TypeError
+    with contextlib.suppress(*errors), no_interrupt_for_children(), tempfile.TemporaryFile() as given:
+        pickle.dump(tracker, given)
+        given.seek(0)
+        return subprocess.Popen(command, stdin=given, stdout=nowhere, stderr=nowhere)
+    return None
 
 
 def _cores() -> int:
@@ -67,12 +81,9 @@ def _cores() -> int:
 
 
 def solve_field() -> None:
-    """In the other process: solve the stars of the catalogue around the centre of Orion, for the scenario and the
-    camera on standard input."""
-    scenario: Scenario
-    camera: Camera
-    scenario, camera = pickle.load(sys.stdin.buffer)
-    tracker = build_tracker(scenario, camera)
+    """In the other process, which loads no simulator: the tracker on standard input solves the stars of its catalogue
+    around the centre of Orion."""
+    tracker: StarTracker = pickle.load(sys.stdin.buffer)
     matrix = Attitude.from_radec_roll(_ORION_RA_DEG, _ORION_DEC_DEG).as_matrix()
     index, _, xy = tracker.guide.in_field(matrix)
     tracker.solve_centroids(xy, 10.0 ** (-0.4 * tracker.guide.v_mag[index]), sigma_px=0.1)
