@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray, same
+from startracker.arrays import BoolArray, FloatArray, IntArray, filled, same
 from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
@@ -25,7 +25,6 @@ from startracker.estimation.image_errors import (
 )
 from startracker.estimation.pose import (
     TRUSTED,
-    UNKNOWN_FLOOR_PX,
     Linearised,
     Pose,
     displacements,
@@ -34,7 +33,7 @@ from startracker.estimation.pose import (
 )
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
-from startracker.image_map import CX, HEIGHT, WIDTH, ImageMap, pixel_slopes, to_pixels
+from startracker.image_map import CX, CY, HEIGHT, WIDTH, ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
 from startracker.linalg import cross, solve, turned
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
@@ -133,7 +132,7 @@ def refine(
     """
     xy, known = stars.xy, stars.variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
-    sigma = np.ones(len(xy)) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
+    sigma = filled(len(xy), 1.0) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
     directions = camera.unproject(xy) if directions is None else directions
     used, matrix, camera = _matched(pairs, xy, sigma, directions, camera, guide, known, free_focal)
     stated = np.zeros((len(xy), 2, 2))
@@ -233,10 +232,10 @@ class _Field(NamedTuple):
         """The principal point (2,)."""
         return self.camera.image_map[CX:WIDTH]
 
-    def seen(self, guides: IntArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def seen(self, guides: IntArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """`_seen_stars` of this camera."""
         sky, motion, row_time_s = self.guide.directions, self.guide.motion_axes, float(self.camera.row_time_s)
-        seen: tuple[FloatArray, FloatArray, FloatArray] = _seen_stars(
+        seen: tuple[FloatArray, FloatArray, FloatArray, FloatArray] = _seen_stars(
             guides, matrix, sky, motion, self.camera.image_map, row_time_s, self.observer is None
         )
         return seen
@@ -271,26 +270,23 @@ class _Field(NamedTuple):
         """Pose of some pairs (M, 2), linearised about an attitude (3, 3), its attitude, and the errors common to the
         field; from measured positions (N, 2), see `named`."""
         stars, camera = pairs[:, 0], self.camera
-        pixels, slopes, extra = self.seen(pairs[:, 1], matrix)
-        residual, offset, extra_sigma = measured[stars] - pixels, pixels - self.centre_px, self.extra_sigma
+        pixels, offset, slopes, extra = self.seen(pairs[:, 1], matrix)
+        residual, extra_sigma = measured[stars] - pixels, self.extra_sigma
         first, models = 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
         given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma, self.as_assumed)
         errors = NO_IMAGE_ERRORS
         if self.known:
-            pose = fit_pose(given, TRUSTED, first, models)
+            pose = fit_pose(given, TRUSTED, first, models, 1)
             if self.as_assumed < _MISFITTING:
                 columns = np.concatenate([extra, self._error_columns(measured[stars])], axis=2)
                 sigma = np.concatenate([extra_sigma, math.sqrt(pose.systematic_px2) * AMPLITUDE_SIGMA])
-                other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models)
+                other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models, 1)
                 if other.log_evidence > pose.log_evidence:
                     theirs = np.arange(len(extra_sigma), len(sigma))
                     errors = ImageErrors(other.unknowns[theirs], other.unknowns_variance[theirs])
                     pose = other._replace(unknowns=np.delete(other.unknowns, theirs))
         else:
-            scale = max(float(np.vdot(residual, residual)) / residual.size, UNKNOWN_FLOOR_PX**2)
-            for _ in range(2):
-                pose = fit_pose(given._replace(covariance=given.covariance * scale), 0.0, first, models)
-                scale *= pose.factor
+            pose = fit_pose(given, 0.0, first, models, 2)
             factor = few_stars_factor(max(2 * len(stars) - 3, 1))
             pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
         x, y, z = pose.turn.tolist()
@@ -302,12 +298,15 @@ class _Field(NamedTuple):
         camera, guide = self.camera, self.guide
         cosine = field_cosine(camera, MARGIN_PX)
         index, _, pixels = stars_on_image(matrix, cosine, MARGIN_PX, guide.directions, guide.grid, camera.image_map)
-        extra = self.seen(index, matrix)[2] if len(self.extra_sigma) else np.empty((len(index), 2, 0))
+        if len(self.extra_sigma):
+            _, offset, _, extra = self.seen(index, matrix)
+        else:
+            offset, extra = pixels - self.centre_px, np.empty((len(index), 2, 0))
         area = float(camera.width * camera.height)
         near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * max(len(self.xy), 1))))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
         right = self._corrected(self.xy, errors)
-        positions = pixels + displacements(pixels - self.centre_px, extra, pose.unknowns)
+        positions = pixels + displacements(offset, extra, pose.unknowns)
         pairs, fits, merged = named(right, self.stated, index, positions, scale, pose.systematic_px2, near_px)
         if right is not self.xy:
             merged = np.where(merged == right, self.xy, merged + (self.xy - right))
@@ -319,9 +318,9 @@ class _Field(NamedTuple):
         covariance, measured = pose.covariance, self._corrected(fit.measured, fit.errors)
         if estimator not in OPTIMAL:  # with its own attitude and covariance, for the errors estimated by the fit
             reference = self.guide.directions[used[:, 1]]
-            pixels, slopes, extra = self.seen(used[:, 1], matrix)
+            _, offset, slopes, extra = self.seen(used[:, 1], matrix)
             pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
-            seen = camera.unproject(measured[used[:, 0]] - displacements(pixels - self.centre_px, extra, pose.unknowns))
+            seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
             estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
             matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
         if not corrects_aberration(self.observer):
@@ -364,10 +363,10 @@ def _seen_stars(
     image: ImageMap,
     row_time_s: float,
     moves: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pixels (M, 2) of guide stars at an attitude (3, 3), their derivatives (M, 2, 3) (`pixel_slopes`), and the
-    displacements (M, 2, E) that are always fitted: by the rotation between the rows' exposures, one about each axis
-    unless `row_time_s` is 0, and per year, if `moves`, by the space motion (3, G)."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Pixels (M, 2) of guide stars at an attitude (3, 3), the same from the principal point, their derivatives (M, 2,
+    3) (`pixel_slopes`), and the displacements (M, 2, E) that are always fitted: by the rotation between the rows'
+    exposures, one about each axis unless `row_time_s` is 0, and per year, if `moves`, by the space motion (3, G)."""
     vectors = np.empty((len(guides), 3))
     for n in range(len(guides)):
         guide = guides[n]
@@ -376,8 +375,9 @@ def _seen_stars(
             vectors[n, k] = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
     pixels, slopes = to_pixels(vectors, image), pixel_slopes(vectors, image)
     rows, middle = 3 if row_time_s != 0.0 else 0, (image[HEIGHT] - 1.0) / 2.0
-    extra = np.zeros((len(guides), 2, rows + moves))
+    extra, offset = np.zeros((len(guides), 2, rows + moves)), np.empty_like(pixels)
     for n in range(len(guides)):
+        offset[n, 0], offset[n, 1] = pixels[n, 0] - image[CX], pixels[n, 1] - image[CY]
         guide, row_s = guides[n], (pixels[n, 1] - middle) * row_time_s
         # θ = motion × v, with −θ × v = motion, for motion across v
         x, y, z = cross(motion[:, guide], directions[guide])
@@ -388,4 +388,4 @@ def _seen_stars(
                     extra[n, axis, k] = slopes[n, axis, k] * row_s
                 if moves:
                     extra[n, axis, rows] += slopes[n, axis, k] * turn
-    return pixels, slopes, extra
+    return pixels, offset, slopes, extra

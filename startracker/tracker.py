@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -14,7 +15,7 @@ from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
-from startracker.arrays import FloatArray, IntArray
+from startracker.arrays import FloatArray, IntArray, filled
 from startracker.attitude import Attitude
 from startracker.camera import Camera
 from startracker.catalog import load_catalog
@@ -283,8 +284,9 @@ class StarTracker:
             unsolved = self._unsolved(found.status, found.reason, clock, stars.xy)
             chance, operations = found.log_false_alarm, found.operations
             return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
-        pairs = found.pairs.copy()
-        pairs[:, 0] = usable[pairs[:, 0]]
+        pairs = found.pairs
+        if len(usable) < len(stars.xy):
+            pairs = np.stack([usable[pairs[:, 0]], pairs[:, 1]], axis=1)
         camera, free = self.camera, found.focal != 1.0
         if free:
             camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
@@ -320,8 +322,9 @@ class StarTracker:
 
     def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
         """Directions for the identification, the centroids that have one, and those of all centroids."""
-        stated = np.full(len(stars.xy), STATED_PX)
-        if stars.variance_px2 is not None:
+        if stars.variance_px2 is None:
+            stated = filled(len(stars.xy), STATED_PX)
+        else:
             stated = np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
         camera, most = self.camera, self.identification.max_centroids
         directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
@@ -339,7 +342,7 @@ class StarTracker:
     ) -> Solution:
         used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
         if measured.variance_px2 is None:
-            sigma_px = np.full(len(used), np.nan)
+            sigma_px = filled(len(used), math.nan)
         else:
             floor_px = guide.catalog.position_sigma_rad / self.camera.pixel_rad
             sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
@@ -349,7 +352,7 @@ class StarTracker:
             catalog_id=guide.catalog.id[chosen],
             name=guide.catalog.star_name[chosen],
             v_mag=guide.v_mag[chosen],
-            flux=np.full(len(used), np.nan) if measured.flux is None else measured.flux[used],
+            flux=filled(len(used), math.nan) if measured.flux is None else measured.flux[used],
             residual_px=refined.residual_px,
             used=refined.used,
             sigma_px=sigma_px,

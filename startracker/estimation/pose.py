@@ -168,7 +168,7 @@ def displacements(offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -
 
 
 @kernel
-def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose:
+def fit_pose(stars: Linearised, trusted: float, first: int, models: int, rounds: int) -> Pose:
     """Average of all models of the module's docstring, weighted by evidence.
 
     Parameters
@@ -180,11 +180,23 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int) -> Pose
         First model: 0 if the camera may be as calibrated, 1 if the focal length is always fitted.
     models : int
         Number of models: 3, or 2 if the caller's columns already include shears.
+    rounds : int
+        1; or 2, if errors are unknown: they are scaled in place, to the mean square residual, then to the first fit's.
     """
     columns, shape = _columns(stars), np.empty((2, 2))
     shape[0, 0], shape[0, 1], shape[1, 0], shape[1, 1] = 1.0, 0.0, 0.0, 1.0
+    scale, left = 0.0, rounds
+    for n in range(len(columns)):
+        scale += (stars.residual[n, 0] ** 2 + stars.residual[n, 1] ** 2) / (2 * len(columns))
+    scale = max(scale, UNKNOWN_FLOOR_PX**2)
     while True:  # a part is compiled once for each call
+        for n in range(len(columns) if rounds > 1 else 0):
+            for axis in range(4):
+                stars.covariance[n, axis // 2, axis % 2] *= scale
         pose: Pose = _fit_models(stars, columns, trusted, first, models, shape)
+        scale, left = pose.factor, left - 1
+        if left > 0:
+            continue
         if trusted == 0.0 or pose.systematic_px2 == 0.0 or shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
             return pose
         shape = _shape_of_systematic(stars.residual, columns, pose)

@@ -171,7 +171,8 @@ class _Search:
         )
         self._pairs = Pairs(near.first, near.second, near.separation_rad)
         self._guides = Guides(guide.directions, guide.v_mag)
-        self._head = np.full(len(guide), -1, np.int32)
+        self._head = np.empty(len(guide), np.int32)
+        self._head.fill(-1)
         self._verifier = Verifier(self.pool, guide, self._stars)
 
     @cached_property

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.arrays import FloatArray, IntArray, filled
 from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.errors import InputError
@@ -60,7 +60,7 @@ class Observed:
 
     def flux_or_nan(self) -> FloatArray:
         """The flux (N,), NaN where it is not known."""
-        return np.full(len(self), math.nan) if self.flux is None else self.flux
+        return filled(len(self), math.nan) if self.flux is None else self.flux
 
 
 @kernel

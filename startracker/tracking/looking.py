@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.arrays import FloatArray, IntArray, filled
 from startracker.bodies import beside_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
@@ -116,12 +116,11 @@ def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None
     camera = tracker.camera
     rows = first_of_each(np.ascontiguousarray(xy), camera.width, camera.height, 0.0, SAME_STAR_PX)
     points = xy[rows]
-    stated = np.full(len(rows), STATED_PX)
-    sigma = factor * stated
+    stated, sigma = filled(len(rows), STATED_PX), filled(len(rows), factor * STATED_PX)
     seen = made(
         Seen,
         xy=points,
-        flux=np.full(len(rows), np.nan) if flux is None else flux[rows],
+        flux=filled(len(rows), math.nan) if flux is None else flux[rows],
         vectors=to_directions(points, camera.image_map),
         gate_px=sigma,
         sigma_px=sigma,

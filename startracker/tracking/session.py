@@ -343,7 +343,7 @@ class TrackingSession:
         )
         clock.lap("tracking")
         times_ms, note = clock.times_ms(), self._with_note("")
-        return followed.solution(self.tracker, self._given_out(), note, times_ms, self._observer)
+        return followed.solution(self.tracker, self._watched.attitude_covariance, note, times_ms, self._observer)
 
     # ------------------------------------------------------------------ the whole frame
     def _whole_frame(
@@ -389,10 +389,4 @@ class TrackingSession:
             note=self._note,
         )
         found = replace(found, reason=self._with_note(found.reason), times_ms={**found.times_ms, **clock.times_ms()})
-        return replace(found, attitude=self.filter_attitude, covariance=self._given_out())
-
-    def _given_out(self) -> FloatArray:
-        """Covariance (3, 3) of the solution: that of the filter's attitude."""
-        covariance = self._watched.covariance
-        assert covariance is not None
-        return covariance[:3, :3]
+        return replace(found, attitude=self.filter_attitude, covariance=self._watched.attitude_covariance)

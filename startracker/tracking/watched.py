@@ -100,6 +100,13 @@ class WatchedFilter:
             covariance[:3, :3] += unknown_aberration(self.mekf.matrix)
         return covariance
 
+    @property
+    def attitude_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the attitude's error, including unknown aberration."""
+        assert self.mekf is not None
+        covariance = self.mekf.attitude_covariance
+        return covariance + unknown_aberration(self.mekf.matrix) if self.without_observer else covariance
+
     def own_covariance(self, attitude: Attitude, covariance: FloatArray) -> FloatArray:
         """The part of the covariance (3, 3) of the tracker's attitude that is noise for the filter."""
         if not self.without_observer:

@@ -42,19 +42,20 @@ def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     """
     height, width = residual.shape[0] // side, residual.shape[1] // side
     out, line = np.zeros((height, width), np.float32), np.empty(width * side, np.float32)
-    zero = np.float32(0.0)
+    zero, last = np.float32(0.0), len(noise.lines) - 1
     for y in range(height):
         line[:] = zero
         for j in range(side):
             row = residual[y * side + j]
             for x in range(width * side):
                 line[x] += row[x] if abs(row[x]) < np.inf else zero
-        for x in range(width):
-            total = zero
-            for i in range(side):
-                total += line[x * side + i]
-            # the noise hardly varies over a bin
-            out[y, x] = total / (side * noise[y * side, x * side])
+        sums, share = out[y], noise.share[y * side]
+        above, below = noise.lines[noise.cell[y * side]], noise.lines[min(noise.cell[y * side] + 1, last)]
+        for i in range(side):
+            for x in range(width):
+                sums[x] += line[x * side + i]
+        for x in range(width):  # the noise hardly varies over a bin
+            sums[x] /= side * (above[x * side] + share * (below[x * side] - above[x * side]))
     return out
 
 
@@ -297,14 +298,14 @@ def _response(bins: FloatImage, scale: float, motion: FloatArray) -> FloatImage:
             out[top:bottom, left:right] = best[top - y0 : bottom - y0, left - x0 : right - x0]
     x, y = np.arange(width) - _middle(bins)[0], np.arange(height) - _middle(bins)[1]
     half_x, half_y = 0.5 * (motion[0] / scale - motion[2] * y), 0.5 * (motion[1] / scale + motion[2] * x)
-    out[np.abs(x)[None, :] + np.abs(half_x)[:, None] > 0.5 * (width - 1)] = -np.inf
-    out[np.abs(y)[:, None] + np.abs(half_y)[None, :] > 0.5 * (height - 1)] = -np.inf
+    out[np.abs(x)[None, :] > (0.5 * (width - 1) - np.abs(half_x))[:, None]] = -np.inf
+    out[np.abs(y)[:, None] > (0.5 * (height - 1) - np.abs(half_y))[None, :]] = -np.inf
     return out
 
 
 def _peaks(height: FloatImage, threshold: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of local maxima above a threshold, the border left out."""
-    y, x = np.nonzero(height[1:-1, 1:-1] > threshold)
+    y, x = np.divmod(np.flatnonzero(height[1:-1, 1:-1] > threshold), height.shape[1] - 2)
     y, x = y + 1, x + 1
     top = np.ones(len(y), np.bool_)
     for dy in (-1, 0, 1):
@@ -317,12 +318,12 @@ def _peaks(height: FloatImage, threshold: float) -> tuple[NDArray[np.int64], NDA
 def _smooth_bins(bins: FloatImage, sigma: float) -> FloatImage:
     """Correlated with a star image of σ bins; white noise keeps its size."""
     kernel = matched_kernel(sigma).astype(np.float32)
-    reach = len(kernel) // 2
+    reach, part = len(kernel) // 2, np.empty_like(bins)
     for axis in (0, 1):
-        padded = np.pad(bins, [(reach, reach) if k == axis else (0, 0) for k in (0, 1)])
-        size = bins.shape[axis]
         total = np.zeros_like(bins)
         for k in range(len(kernel)):
-            total += kernel[k] * (padded[k : k + size] if axis == 0 else padded[:, k : k + size])
+            np.multiply(bins, kernel[k], out=part)
+            here, there = (slice(max(side, 0), min(side, 0) or None) for side in (reach - k, k - reach))
+            total[here if axis == 0 else (slice(None), here)] += part[there if axis == 0 else (slice(None), there)]
         bins = total
     return bins

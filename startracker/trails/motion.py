@@ -92,8 +92,9 @@ class CommonMotion(NamedTuple):
 
 def lengths_of(table: FloatArray) -> FloatArray:
     """Lengths (N, 2) along x and y of trails (N, 7), px."""
-    unit = np.column_stack([np.cos(table[:, ANGLE]), np.sin(table[:, ANGLE])])
-    return np.asarray(2.0 * table[:, HALF, None] * unit)
+    out, length = np.empty((len(table), 2)), 2.0 * table[:, HALF]
+    out[:, 0], out[:, 1] = length * np.cos(table[:, ANGLE]), length * np.sin(table[:, ANGLE])
+    return out
 
 
 def within(signal: Signal, table: FloatArray, margin: FloatArray | float) -> Flags:
@@ -101,6 +102,16 @@ def within(signal: Signal, table: FloatArray, margin: FloatArray | float) -> Fla
     reach = 0.5 * np.abs(lengths_of(table)) + np.reshape(margin, (-1, 1))
     inside = np.abs(table[:, [X, Y]] - signal.middle) + reach <= signal.middle
     return np.asarray(inside.all(axis=1))
+
+
+def _is_whole(signal: Signal, line: FloatArray) -> bool:
+    """Whether a line (7,) has both ends inside the image by `_CUT_PX`: `within` of one line."""
+    height, width = signal.residual.shape
+    x, y, _, _, angle, half, _ = line.tolist()
+    for at, reach, size in ((x, half * math.cos(angle), width), (y, half * math.sin(angle), height)):
+        if not abs(at - 0.5 * (size - 1.0)) + (abs(reach) + _CUT_PX) <= 0.5 * (size - 1.0):
+            return False
+    return True
 
 
 def find_motion(
@@ -151,7 +162,7 @@ def _straightened(signal: Signal, lines: FloatArray, sigma: float, lengths: IntA
         score, middle = best_stretches(total, lengths)
         best = int(np.argmax(score))
         _move(made, middle[best], lengths[best])
-        if score[best] >= COARSE_SIGMA and within(signal, made[None], _CUT_PX)[0]:
+        if score[best] >= COARSE_SIGMA and _is_whole(signal, made):
             found.append((made, score, middle - middle[best]))
         if len(found) == _ENOUGH:
             break
@@ -176,8 +187,9 @@ def _lengthened(motion: FloatArray, xy: FloatArray, trails: FloatArray, straight
     aside = np.abs(expected[:, 0] * trails[:, 1] - expected[:, 1] * trails[:, 0]) / np.maximum(size, 1e-9)
     along = aside < MOTION_TOLERANCE_PX + _STRETCH * np.hypot(*trails.T)
     squares = np.square(np.maximum(straight.scores[along], 0.0))
-    before, after = np.pad(squares, ((0, 0), (1, 0)))[:, :-1], np.pad(squares, ((0, 0), (0, 1)))[:, 1:]
-    near = np.maximum(np.maximum(before, after), squares)
+    near = squares.copy()
+    np.maximum(near[:, 1:], squares[:, :-1], out=near[:, 1:])
+    np.maximum(near[:, :-1], squares[:, 1:], out=near[:, :-1])
     scale = lengths / float(np.median(size))
     index = np.minimum(np.searchsorted(lengths, size[along, None] * scale), len(lengths) - 1)
     short_by = squares.max(axis=1)[:, None] - np.take_along_axis(near, index, axis=1)
@@ -200,7 +212,7 @@ def _fitted(
         made, covariance, chi2, _ = fit_trail(
             signal.residual, signal.noise, start, LINE, 3.0 + 0.05 * start[HALF], signal.inverse_gain
         )
-        if chi2 < math.inf and within(signal, made[None], _CUT_PX)[0]:
+        if chi2 < math.inf and _is_whole(signal, made):
             fits.append(made)
             errors.append(4.0 * chi2 * np.array([covariance[HALF, HALF], made[HALF] ** 2 * covariance[ANGLE, ANGLE]]))
     if len(fits) < _FEWEST:

@@ -75,7 +75,7 @@ def problem(seed, stars, scale=0.0, columns=0):
 @pytest.mark.parametrize(("trusted", "first", "models"), [(20.0, 0, 3), (20.0, 1, 2), (0.0, 0, 3)])
 def test_the_kernel_is_its_twin(stars, scale, columns, trusted, first, models):
     given = problem(stars, stars, scale, columns)
-    found = fit_pose(given, trusted, first, models)
+    found = fit_pose(given, trusted, first, models, 1)
     turn, covariance = twin(*given[:6], trusted, first, models)
     sigma = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(found.turn / sigma, turn / sigma, atol=1e-6)
@@ -91,7 +91,7 @@ def test_a_systematic_error_along_one_direction_is_told_so():
     for seed in range(60):
         given = problem(seed, 40)
         given[0][:] += 0.2 * rng.normal(size=(40, 1)) * direction
-        found = fit_pose(given, 20.0, 0, 3)
+        found = fit_pose(given, 20.0, 0, 3, 1)
         # about an axis across the boresight the image moves across that axis
         pixels = np.linalg.norm(given[1][:, :, :2], axis=(1, 2)).mean() / np.sqrt(2.0)
         along, across = np.array([-direction[1], direction[0]]), direction
@@ -111,7 +111,7 @@ def test_a_systematic_error_along_one_direction_is_told_so():
 
 def test_a_focal_length_that_is_off_is_found():
     given = problem(5, 30, 4e-4)
-    found = fit_pose(given, 20.0, 0, 3)
+    found = fit_pose(given, 20.0, 0, 3, 1)
     # 30 stars of 0.03 px some 400 px from the centre tell it to 2e-6 or so; its prior pulls by less
     assert found.unknowns[0] == pytest.approx(4e-4, abs=2e-5)
     moved = displacements(given.offset, given.extra, found.unknowns)
@@ -124,7 +124,7 @@ def test_where_nothing_is_wrong_the_covariance_is_the_plain_one():
     for seed in range(200):
         given = problem(seed, 30)
         plain = np.linalg.inv(np.einsum("nki,nkl,nlj->ij", given[1], np.linalg.inv(given[3]), given[1]))
-        ratios.append(np.diag(fit_pose(given, 20.0, 0, 3).covariance) / np.diag(plain))
+        ratios.append(np.diag(fit_pose(given, 20.0, 0, 3, 1).covariance) / np.diag(plain))
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.08)
 
 
