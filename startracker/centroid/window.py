@@ -215,11 +215,8 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
     correct : bool
         Whether to take the bias off; the flux is corrected for the window either way.
     """
-    out = np.full((len(peaks.x), MEASURED), np.nan)
+    out = np.empty((len(peaks.x), MEASURED))
     _measure(pixels, peaks, half, (sigma_x, sigma_y), correct, out)
-    # known no better than a star image, or a pixel, is wide: it is not a star image
-    limit = max(sigma_x, sigma_y, 1.0) ** 2
-    out[((out[:, 3] > limit) | (out[:, 4] > limit)) & ~peaks.saturated] = np.nan
     return out
 
 
@@ -229,12 +226,19 @@ def _measure(
 ) -> None:
     """Rows of `measure_stars`."""
     centres = centres_of_means(sigma[0], half), centres_of_means(sigma[1], half)
+    limit = max(sigma[0], sigma[1], 1.0) ** 2
     for index in range(len(out)):
         row = out[index]
+        for k in range(MEASURED):
+            row[k] = np.nan
         if peaks.saturated[index]:
             _measure_flat_top(pixels, peaks, index, half, row)
-        else:
-            _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, row)
+            continue
+        _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, row)
+        # known no better than a star image, or a pixel, is wide: it is not a star image
+        wide = row[3] > limit or row[4] > limit
+        for k in range(MEASURED):
+            row[k] = np.nan if wide else row[k]
 
 
 @kernel_part
