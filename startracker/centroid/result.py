@@ -64,7 +64,7 @@ def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:
     excess : (N,)
         χ² of each fit minus its degrees of freedom, in standard deviations; not finite: left out.
     """
-    fitted = np.flatnonzero(np.isfinite(excess))
+    fitted = np.isfinite(excess).nonzero()[0]
     brightest = np.sort(excess[fitted[np.argsort(-flux[fitted], kind="stable")[:_BRIGHTEST]]])
     count = len(brightest)
     if count < _FEWEST:

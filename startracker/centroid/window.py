@@ -63,12 +63,11 @@ class Peaks(NamedTuple):
     saturated: BoolArray
 
 
-@kernel
-def _row_of(plane: Plane, y: int, left: int, wide: int) -> tuple[FloatImage, FloatImage, np.float32]:
-    """A stretch of one row of a map: the lines above and below it, and how far it is from the one to the other."""
-    cell = plane.cell[y]
-    below = min(cell + 1, len(plane.lines) - 1)
-    return plane.lines[cell, left : left + wide], plane.lines[below, left : left + wide], plane.share[y]
+@kernel_part
+def _lines_about(plane: Plane, y: np.uint64) -> tuple[np.uint64, np.uint64, np.float32]:
+    """The lines of a map above and below a row, and how far it is from the one to the other."""
+    cell = np.uint64(plane.cell[y])
+    return cell, min(cell + np.uint64(1), np.uint64(len(plane.lines) - 1)), plane.share[y]
 
 
 @kernel
@@ -79,17 +78,15 @@ def read_pixels(
 
     Those that do not, as they are not finite or at the ceiling, have no signal and an infinite variance.
     """
-    image, level, noise = pixels.image, pixels.level, pixels.noise
-    n = np.uint64(0)
-    count = 0
-    for j in range(top, top + high):
-        values = image[j, left : left + wide]
-        upper, lower, share = _row_of(level, j, left, wide)
-        quiet, loud, part = _row_of(noise, j, left, wide)
-        for i in range(wide):
-            usable = is_value(values[i]) and np.float64(values[i]) < ceiling
-            above = np.float64(values[i]) - np.float64(upper[i] + share * (lower[i] - upper[i]))
-            sigma = np.float64(quiet[i] + part * (loud[i] - quiet[i]))
+    image, sky, noise, n, count = pixels.image, pixels.level.lines, pixels.noise.lines, np.uint64(0), 0
+    # no slices: they are counted in and out of use
+    for j in range(np.uint64(top), np.uint64(top + high)):
+        upper, lower, share = _lines_about(pixels.level, j)
+        quiet, loud, part = _lines_about(pixels.noise, j)
+        for i in range(np.uint64(left), np.uint64(left + wide)):
+            usable = is_value(image[j, i]) and np.float64(image[j, i]) < ceiling
+            above = np.float64(image[j, i]) - np.float64(sky[upper, i] + share * (sky[lower, i] - sky[upper, i]))
+            sigma = np.float64(noise[quiet, i] + part * (noise[loud, i] - noise[quiet, i]))
             signal[n], dark[n] = above if usable else 0.0, sigma**2 if usable else np.inf
             count += int(usable)
             n += np.uint64(1)
@@ -110,24 +107,23 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
     -----
     var(m_x) = Σ (k − m_x)² v_k / S², v = noise² + max(signal, 0) / gain: pixels independent, first order in noise.
     """
-    image, level, noise = pixels.image, pixels.level, pixels.noise
+    image, sky, noise = pixels.image, pixels.level.lines, pixels.noise.lines
     inverse_gain = pixels.inverse_gain
     height, width = image.shape
     low_x, high_x = -min(half, x), min(half, width - 1 - x)
     low_y, high_y = -min(half, y), min(half, height - 1 - y)
-    left, wide = x + low_x, high_x - low_x + 1
     # sums of the signal and of its variance, times 1, i, j, i², j², ij
     s = si = sj = sii = sjj = 0.0
     v = vi = vj = vii = vjj = vij = 0.0
     for j in range(low_y, high_y + 1):
-        values = image[y + j, left : left + wide]
-        upper, lower, share = _row_of(level, y + j, left, wide)
-        quiet, loud, part = _row_of(noise, y + j, left, wide)
+        at = np.uint64(y + j)
+        upper, lower, share = _lines_about(pixels.level, at)
+        quiet, loud, part = _lines_about(pixels.noise, at)
         row = row_i = row_ii = noisy = noisy_i = noisy_ii = 0.0
-        for n in range(wide):
-            i = low_x + n
-            signal = np.float64(values[n]) - np.float64(upper[n] + share * (lower[n] - upper[n]))
-            sigma = np.float64(quiet[n] + part * (loud[n] - quiet[n]))
+        for i in range(low_x, high_x + 1):
+            n = np.uint64(x + i)
+            signal = np.float64(image[at, n]) - np.float64(sky[upper, n] + share * (sky[lower, n] - sky[upper, n]))
+            sigma = np.float64(noise[quiet, n] + part * (noise[loud, n] - noise[quiet, n]))
             variance = sigma * sigma + max(signal, 0.0) * inverse_gain
             row, row_i, row_ii = row + signal, row_i + signal * i, row_ii + signal * i * i
             noisy, noisy_i, noisy_ii = noisy + variance, noisy_i + variance * i, noisy_ii + variance * i * i
@@ -215,11 +211,8 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
     correct : bool
         Whether to take the bias off; the flux is corrected for the window either way.
     """
-    out = np.full((len(peaks.x), MEASURED), np.nan)
+    out = np.empty((len(peaks.x), MEASURED))
     _measure(pixels, peaks, half, (sigma_x, sigma_y), correct, out)
-    # known no better than a star image, or a pixel, is wide: it is not a star image
-    limit = max(sigma_x, sigma_y, 1.0) ** 2
-    out[((out[:, 3] > limit) | (out[:, 4] > limit)) & ~peaks.saturated] = np.nan
     return out
 
 
@@ -229,12 +222,19 @@ def _measure(
 ) -> None:
     """Rows of `measure_stars`."""
     centres = centres_of_means(sigma[0], half), centres_of_means(sigma[1], half)
+    limit = max(sigma[0], sigma[1], 1.0) ** 2
     for index in range(len(out)):
         row = out[index]
+        for k in range(MEASURED):
+            row[k] = np.nan
         if peaks.saturated[index]:
             _measure_flat_top(pixels, peaks, index, half, row)
-        else:
-            _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, row)
+            continue
+        _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, row)
+        # known no better than a star image, or a pixel, is wide: it is not a star image
+        wide = row[3] > limit or row[4] > limit
+        for k in range(MEASURED):
+            row[k] = np.nan if wide else row[k]
 
 
 @kernel_part

@@ -90,7 +90,7 @@ def part_blends(
     _share_pixels(runs, number, (head, following), peaks.position, image, level, np.float32(saturation), parts)
     # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
     kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= peaks.height)
-    return join_tables(table.take(np.flatnonzero(head < 0)), parts.take(np.flatnonzero(kept))), parted
+    return join_tables(table.take((head < 0).nonzero()[0]), parts.take(kept.nonzero()[0])), parted
 
 
 @kernel

@@ -70,7 +70,7 @@ def classify_sources(table: Sources, saturated: Flags, searched: Searched, crite
     kind = np.where(table["flux"] > 0.0, _UNSEEN, _DARK)
     kind[table["pixels"] > criteria.max_pixels] = _LARGE
     kind[table["pixels"] < criteria.min_pixels] = _SMALL
-    possible = np.flatnonzero(kind == _UNSEEN)
+    possible = (kind == _UNSEEN).nonzero()[0]
     for looked_at in (LOOKED_AT * criteria.most, LOOKED_AT_MORE * criteria.most):
         which = possible[:looked_at]
         examined = _Examined(table.take(which), saturated[which], searched, criteria)
@@ -112,11 +112,11 @@ class _Examined:
     def classify(self) -> IntArray:
         """Class (N,) of each, until there are as many stars as asked for; then of the long ones only."""
         kind, most = np.where(is_halo(self.table), _HALO, _UNSEEN), self.criteria.most
-        left, stars = np.flatnonzero(kind == _UNSEEN), 0
+        left, stars = (kind == _UNSEEN).nonzero()[0], 0
         while len(left) and stars < most:
             which = left[: _enough_for(most - stars)]
             found = self._kinds_of(which)
-            is_star = np.flatnonzero(found == STAR)[: most - stars]
+            is_star = (found == STAR).nonzero()[0][: most - stars]
             stars += len(is_star)
             done = len(which) if stars < most else is_star[-1] + 1
             kind[which[:done]] = found[:done]

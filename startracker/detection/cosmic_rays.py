@@ -32,7 +32,8 @@ from startracker.detection.thresholds import (
     WIDEST_TRACK_PX2,
     WIDTH_SNR,
 )
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
+from startracker.sorting import sort
 
 FloatImage = NDArray[np.float32]
 
@@ -57,21 +58,27 @@ class Sharpness(NamedTuple):
     """Shapes (N, 5) of the sources measured under it so far; NaN for the others."""
 
 
+@kernel
 def common_width(variance: FloatArray) -> float:
     """The variance that most values share, to a factor 1.3 either way; NaN for none.
 
     Cosmic rays scatter over all widths, stars agree: so stars are found among more cosmic rays than stars, where a
     median fails. Of equal numbers the wider counts.
     """
-    values = np.sort(variance[np.isfinite(variance) & (variance > 0.0)])
-    if not len(values):
-        return math.nan
-    near = values.searchsorted(values * COMMON_WIDTH_RATIO, "right")
-    near -= values.searchsorted(values / COMMON_WIDTH_RATIO, "left")
-    centre = values[len(values) - 1 - int(np.argmax(near[::-1]))]
-    first = int(values.searchsorted(centre / COMMON_WIDTH_RATIO, "left"))
-    last = int(values.searchsorted(centre * COMMON_WIDTH_RATIO, "right")) - 1
-    return float(0.5 * (values[(first + last) // 2] + values[(first + last + 1) // 2]))
+    values, count = np.empty(len(variance)), 0
+    for value in variance:
+        values[count] = value
+        count += int(0.0 < value < np.inf)
+    sort(values[:count])
+    first = last = low = high = most = 0
+    for k in range(count):
+        while values[first] < values[k] / COMMON_WIDTH_RATIO:
+            first += 1
+        while last < count and values[last] <= values[k] * COMMON_WIDTH_RATIO:
+            last += 1
+        if last - first >= most:
+            most, low, high = last - first, first, last - 1
+    return 0.5 * (values[(low + high) // 2] + values[(low + high + 1) // 2]) if count else np.nan
 
 
 def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: int) -> Sharpness:
@@ -81,12 +88,12 @@ def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: in
     `judged`, or of what is not a hot pixel where hot pixels are nearly all. `pixels` (N, 2) are the sources' brightest,
     x and y. The first sources, `ahead` of them, are measured in any case.
     """
-    candidates = np.flatnonzero(judged)
+    candidates = judged.nonzero()[0]
     brightest, rest = candidates[: 2 * _WIDTH_STARS], candidates[2 * _WIDTH_STARS :]
     first = np.zeros(len(pixels), np.bool_)
     first[:ahead] = first[brightest] = True
     shapes, width = np.full((len(pixels), SHAPE_COLUMNS), np.nan), math.nan
-    examined, weight_px = np.flatnonzero(first), _WEIGHT_PX
+    examined, weight_px = first.nonzero()[0], _WEIGHT_PX
     for attempt in range(_WEIGHTS):
         shapes[examined] = shapes_at(*searched[:3], pixels[examined], weight_px)
         if attempt == _WEIGHTS - 1:
@@ -96,7 +103,7 @@ def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: in
         if not width > SHARPEST_STARS_PX2:
             if len(rest):
                 shapes[rest] = shapes_at(*searched[:3], pixels[rest], weight_px)
-                examined, rest = np.flatnonzero(first | judged), rest[:0]
+                examined, rest = (first | judged).nonzero()[0], rest[:0]
             width = _width_beside_pixels(shapes[candidates], width)
         if not width > weight_px**2:
             break

@@ -85,7 +85,7 @@ def brightest_first(table: Sources) -> Sources:
     falling = -table["flux"]
     order = np.argsort(falling)
     sorted_flux = falling[order]
-    if np.any(sorted_flux[1:] == sorted_flux[:-1]):
+    if (sorted_flux[1:] == sorted_flux[:-1]).any():
         order = np.lexsort((table["x_peak"], table["y_peak"], falling))
     return table.take(order)
 
@@ -95,7 +95,7 @@ def are_long(table: Sources, needed: int, fewest: int, most: int, max_axis_ratio
 
     `table` has the brightest first.
     """
-    whole = np.flatnonzero((table["pixels"] >= fewest) & (table["flux"] > 0.0))[:most]
+    whole = ((table["pixels"] >= fewest) & (table["flux"] > 0.0)).nonzero()[0][:most]
     return bool(np.count_nonzero(measure_forms(table.take(whole), max_axis_ratio).long) >= needed)
 
 

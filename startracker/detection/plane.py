@@ -64,7 +64,7 @@ def _plane_getitem(plane: Any, pixel: Any) -> Callable[..., Any] | None:
 def sample_plane(plane: Plane, step_y: int, step_x: int) -> FloatImage:
     """Values of every `step_y`-th row and `step_x`-th column, flat."""
     lines, cell, share = plane.lines[:, ::step_x], plane.cell[::step_y], plane.share[::step_y, None]
-    upper, lower = lines[cell], lines[np.minimum(cell + 1, len(lines) - 1)]
+    upper, lower = lines.take(cell, axis=0), lines.take(np.minimum(cell + 1, len(lines) - 1), axis=0)
     values: FloatImage = (upper + share * (lower - upper)).ravel()
     return values
 

@@ -105,16 +105,16 @@ def _filter_columns(
 
 
 @kernel_part
-def _least_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64, lower: bool) -> None:
-    """At most threshold × noise of each column, in all rows between the lines about a row, or in it alone beyond; only
-    where it is lower than what is there, or everywhere."""
+def _lower_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64) -> None:
+    """Lower the limits to at most threshold × noise of each column, in all rows between the lines about a row, or in it
+    alone beyond."""
     share, lines, cell = noise.share[y], noise.lines, np.uint64(noise.cell[y])
     below = min(cell + np.uint64(1), np.uint64(len(lines) - 1))
     less = np.float32(1.0 - 1e-6)  # for the rounding of the interpolation
     for x in range(np.uint64(lines.shape[1])):
-        high, low = lines[cell, x], lines[below, x]
-        value = threshold * (min(high, low) if 0.0 <= share <= 1.0 else high + share * (low - high)) * less
-        work[out + x] = min(value, work[out + x]) if lower else value
+        upper, lower = lines[cell, x], lines[below, x]
+        value = min(upper, lower) if 0.0 <= share <= 1.0 else upper + share * (lower - upper)
+        work[out + x] = min(threshold * value * less, work[out + x])
 
 
 @kernel_part
@@ -236,7 +236,9 @@ def _search(
         for row in range(centre, min(centre + 2, height)):
             between = 0.0 <= noise.share[row] <= 1.0
             if noise.cell[row] != cell or not between:
-                _least_limits(work, noise, row, threshold, least, row > centre)
+                for x in range(np.uint64(width if row == centre else 0)):
+                    work[least + x] = np.inf
+                _lower_limits(work, noise, row, threshold, least)
                 cell = noise.cell[row] if between and row == centre else -1
         _filter_columns(work, rows, half, totals, least, marks, width)
     return count, samples

@@ -74,7 +74,7 @@ def select_spots(
     kind = classify_sources(table, saturated, searched, criteria)
     counts = np.bincount(kind, minlength=len(REASONS) + 1)[1:].tolist()
     rejected = {reason: count for reason, count in zip(REASONS, counts, strict=True) if count}
-    chosen = np.flatnonzero(kind == STAR)
+    chosen = (kind == STAR).nonzero()[0]
     stars = table.take(chosen)
     return Spots(
         stars["x_peak"].copy(),

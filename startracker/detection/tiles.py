@@ -209,19 +209,18 @@ def smooth_tiles(tiles: FloatArray) -> FloatArray:
 @kernel
 def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
     rows, columns = tiles.shape[1], tiles.shape[2]
-    # the border, the two lines that it goes on from
-    down = ((0, 1, min(2, rows)), (rows + 1, rows, max(rows - 1, 1)))
-    across = ((0, 1, min(2, columns)), (columns + 1, columns, max(columns - 1, 1)))
     for n in range(len(tiles)):
         for r in range(rows):
             for c in range(columns):
                 padded[r + 1, c + 1] = tiles[n, r, c]
-        for border, near, far in down:
+        for side in range(2):  # the border goes on from the two lines beside it
+            border, near, inwards = side * (rows + 1), 1 + side * (rows - 1), (1 - 2 * side) * min(1, rows - 1)
             for c in range(1, columns + 1):
-                padded[border, c] = 2.0 * padded[near, c] - padded[far, c]
-        for border, near, far in across:
+                padded[border, c] = 2.0 * padded[near, c] - padded[near + inwards, c]
+        for side in range(2):
+            border, near, inwards = side * (columns + 1), 1 + side * (columns - 1), (1 - 2 * side) * min(1, columns - 1)
             for r in range(rows + 2):
-                padded[r, border] = 2.0 * padded[r, near] - padded[r, far]
+                padded[r, border] = 2.0 * padded[r, near] - padded[r, near + inwards]
         for r in range(rows):
             for c in range(columns):
                 # the median of nine is that of the largest least, the middle middle and the least largest of its rows
