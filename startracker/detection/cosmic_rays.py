@@ -78,7 +78,7 @@ def common_width(variance: FloatArray) -> float:
             last += 1
         if last - first >= most:
             most, low, high = last - first, first, last - 1
-    return 0.5 * (values[(low + high) // 2] + values[(low + high + 1) // 2]) if count else np.nan
+    return float(0.5 * (values[(low + high) // 2] + values[(low + high + 1) // 2])) if count else math.nan
 
 
 def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: int) -> Sharpness:
