@@ -31,10 +31,10 @@ from simulator.randomness import stream
 from simulator.study.exported_c.build import Build, compile_export
 from startracker import Camera, StarTracker
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import flight_export
 from startracker.flight.stars import StarList
+from startracker.geometry.attitude import Attitude
 
 CAMERAS = {"cubesat": (12.86, 7.0), "10 deg": (10.0, 7.0), "20 deg": (20.0, 6.0), "6 deg": (6.0, 7.6)}
 """Field of view across 1024 pixels, degrees, and magnitude limit of the guide stars."""

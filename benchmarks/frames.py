@@ -33,7 +33,7 @@ from simulator.sky.observer import observe
 from simulator.sky.solar_system import solar_system
 from simulator.study.statistics import wilson_interval
 from simulator.study.trials.trial import build_tracker, solve_frame
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.tracker import StarTracker
 
 FloatArray = NDArray[np.float64]

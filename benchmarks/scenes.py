@@ -25,9 +25,9 @@ from scipy.spatial import cKDTree
 
 from simulator.randomness import stream
 from startracker import Camera, load_catalog
-from startracker.attitude import quat_to_matrix
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
+from startracker.geometry.attitude import quat_to_matrix
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -40,8 +40,8 @@ from simulator.scene import SceneBuilder, SceneParameters
 from simulator.sky.faint_stars import FaintSky
 from simulator.sky.photometry import Photometer
 from simulator.sky.satellites import load_satellites
-from startracker.attitude import Attitude
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 
 _LARGEST_IMAGE_PX = 512
 """Lines above and below the detector, in the images of whose stars a rolling shutter has rows."""

@@ -17,7 +17,7 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import write_atomically
 from startracker._version import __version__
-from startracker.attitude import Attitude, direction_to_radec
-from startracker.camera import Camera
 from startracker.catalog.guide import field_of
-from startracker.distortion import Distortion
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, direction_to_radec
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 from startracker.observer import Observer, aberrate
 from startracker.wcs import wcs_header
 

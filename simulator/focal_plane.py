@@ -47,7 +47,7 @@ from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import SOLAR_B_V
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 _EDGE_MARGIN_PX = 160.0
 """Stars up to this far outside the detector are rendered if their wings overlap it; those of 10⁶ electrons do."""

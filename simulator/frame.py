@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.display import described, html_card, quantity_range
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
+from startracker.images.picture import photograph
 from startracker.observer import Observer
-from startracker.picture import photograph
 
 
 @dataclass(frozen=True, eq=False)

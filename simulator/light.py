@@ -18,7 +18,7 @@ from simulator.sky.satellites import Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.spectra import SOLAR_B_V
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 from startracker.kernels import kernel
 
 _KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}

@@ -27,7 +27,7 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
 from simulator.scene import GivenState, Scene
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.interop import is_rotation
 
 _OF_SCENES = ("detector.height", "detector.shutter", "detector.line_time_us")

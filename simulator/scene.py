@@ -42,12 +42,12 @@ from simulator.sky.satellites import Look, SatelliteList, Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.constants import AU_KM
 from startracker.display import fields_repr
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 from startracker.observer import Observer
 
 NEAR_BODY_RAD = math.radians(5.0)

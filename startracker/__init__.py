@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 from startracker._version import __version__
 
 if TYPE_CHECKING:
-    from startracker.attitude import Attitude
     from startracker.blind import solve_unknown_fov
     from startracker.calibration import Calibration, InFlightCalibration, StarField, calibrate
-    from startracker.camera import Camera
     from startracker.catalog import load_catalog
     from startracker.catalog.stars import StarCatalog
-    from startracker.distortion import Distortion
     from startracker.errors import BoresightError, InputError
-    from startracker.image import LoadedImage, read_image, sample_photo
+    from startracker.geometry.attitude import Attitude
+    from startracker.geometry.camera import Camera
+    from startracker.geometry.distortion import Distortion
+    from startracker.images.reading import LoadedImage, read_image, sample_photo
     from startracker.observer import Observer
     from startracker.settings import (
         AdaptiveSettings,
@@ -82,14 +82,14 @@ __all__ = [
 ]
 
 _HOME = {
-    "Attitude": "attitude",
+    "Attitude": "geometry.attitude",
     "BoresightError": "errors",
     "CalibratedSession": "tracking",
     "Calibration": "calibration",
-    "Camera": "camera",
+    "Camera": "geometry.camera",
     "CentroidSettings": "settings",
     "DetectionSettings": "settings",
-    "Distortion": "distortion",
+    "Distortion": "geometry.distortion",
     "GyroNoise": "tracking",
     "IdentificationSettings": "settings",
     "InFlightCalibration": "calibration",
@@ -100,7 +100,7 @@ _HOME = {
     "PyramidSettings": "settings",
     "TriadSettings": "settings",
     "InputError": "errors",
-    "LoadedImage": "image",
+    "LoadedImage": "images.reading",
     "MatchedStars": "solution",
     "Mekf": "tracking",
     "Observer": "observer",
@@ -116,8 +116,8 @@ _HOME = {
     "TrackingState": "tracking",
     "calibrate": "calibration",
     "load_catalog": "catalog",
-    "read_image": "image",
-    "sample_photo": "image",
+    "read_image": "images.reading",
+    "sample_photo": "images.reading",
     "solve_unknown_fov": "blind",
     "wcs_header": "wcs",
 }

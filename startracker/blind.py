@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, find_stars
+from startracker.geometry.camera import Camera
 from startracker.given_centroids import clean_centroids
 from startracker.given_image import GivenImage, given_image
 from startracker.identification.free_scale import FOV_BANDS_DEG

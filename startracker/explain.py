@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.centroid.result import Centroids
 from startracker.constants import ARCSEC_RAD
 from startracker.detection.background import Background
 from startracker.detection.plane import sample_plane
 from startracker.detection.spots import Spots
+from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings
 from startracker.solution import Solution, Status
 from startracker.trace import Step

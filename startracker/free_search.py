@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
-from startracker.distortion import Distortion
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 from startracker.identification import free_scale
 from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.clustering_null import log_excess_density

@@ -10,7 +10,6 @@ from functools import cached_property, partial
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.centroid import Centroider
 from startracker.centroid.result import Centroids
 from startracker.detection import Background, Detector, estimate
@@ -23,6 +22,7 @@ from startracker.detection.trailed import trails_win
 from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
+from startracker.geometry.camera import Camera
 from startracker.given_image import GivenImage
 from startracker.kernels import clock
 from startracker.records import changed

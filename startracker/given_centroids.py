@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 from startracker.kernels import kernel
 from startracker.sorting import order_of_columns
 from startracker.survey import plain

@@ -1,6 +1,6 @@
 """Camera parameters that can be estimated from stars, and the derivatives of the image with respect to them.
 
-Pinhole with Brown–Conrady distortion, or fisheye (Kannala–Brandt), as in `startracker.camera`.
+Pinhole with Brown–Conrady distortion, or fisheye (Kannala–Brandt), as in `startracker.geometry.camera`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 PARAMETERS = {
     "pinhole": ("f", "aspect", "cx", "cy", "k1", "k2", "k3", "p1", "p2"),

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.attitude import rotation_vector_to_matrix
-from startracker.camera import Camera
+from startracker.geometry.attitude import rotation_vector_to_matrix
+from startracker.geometry.camera import Camera
 from startracker.lens import by_turn, change_lens, is_one_to_one, prior_of, sensitivity, value_of
 
 _TOGETHER = (("cx", "cy"), ("aspect",), ("p1", "p2"))

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import BoolArray, FloatArray, IntArray, filled, same
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
 from startracker.estimation import OPTIMAL, Estimator
@@ -32,10 +31,11 @@ from startracker.estimation.pose import (
     fit_pose,
 )
 from startracker.estimation.wahba import fit_rotation
+from startracker.geometry.camera import Camera
+from startracker.geometry.image_map import CX, CY, HEIGHT, WIDTH, ImageMap, pixel_slopes, to_pixels
+from startracker.geometry.linalg import cross, solve, turned
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
-from startracker.image_map import CX, CY, HEIGHT, WIDTH, ImageMap, pixel_slopes, to_pixels
 from startracker.kernels import kernel
-from startracker.linalg import cross, solve, turned
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.records import made
 from startracker.sorting import median

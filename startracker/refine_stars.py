@@ -8,9 +8,9 @@ import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
+from startracker.geometry.camera import Camera
 from startracker.observer import Observer
 from startracker.refine import Measured, Refined, refine
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.bodies import NO_BODIES, SeenBodies
-from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
 from startracker.display import angle_text, described, html_card, quantity_range, star_chart
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
+from startracker.geometry.camera import Camera
 from startracker.interop import is_skycoord, plain
 from startracker.observer import Observer, aberrate, corrects_aberration
 from startracker.trace import Step

@@ -16,8 +16,6 @@ from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
 from startracker.arrays import FloatArray, IntArray, filled
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
@@ -26,6 +24,8 @@ from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.given_centroids import stated_variance, usable_centroids
 from startracker.given_image import given_image, prior_of
 from startracker.identification.acceptance import is_beyond_doubt

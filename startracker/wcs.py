@@ -26,10 +26,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude, matrix_to_quat
-from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD, SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, matrix_to_quat
+from startracker.geometry.camera import Camera
 from startracker.observer import aberrate
 
 Rays = Callable[[FloatArray], FloatArray]

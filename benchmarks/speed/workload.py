@@ -17,8 +17,8 @@ from simulator import Renderer, Scenario
 from simulator.detector.chain import Readout
 from simulator.randomness import stream
 from simulator.scene import Scene
-from startracker.attitude import direction_to_radec
 from startracker.catalog import CATALOGS, StarCatalog
+from startracker.geometry.attitude import direction_to_radec
 
 SIZES = (512, 1024, 2048)
 STARS = (10, 100, 1000)

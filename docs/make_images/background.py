@@ -13,7 +13,7 @@ from simulator.renderer import Renderer
 from simulator.scene import Scene
 from simulator.sky.background import ECLIPTIC, sky_brightness_s10
 from simulator.sky.parameters import Sky
-from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
+from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
 
 ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"

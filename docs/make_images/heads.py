@@ -14,7 +14,7 @@ from simulator import Scenario
 from simulator.study.sequence.heads_plots import heads_panels
 from simulator.study.sequence.run import run_sequence
 from simulator.study.style import STYLE
-from startracker.picture import figure_bytes
+from startracker.images.picture import figure_bytes
 
 OUT = Path(__file__).resolve().parents[1] / "images" / "heads.png"
 

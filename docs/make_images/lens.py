@@ -13,7 +13,7 @@ from simulator import Renderer, Scenario
 from simulator.optics.illumination import Vignetting, relative_illumination
 from simulator.optics.thermal import true_camera
 from startracker import Camera
-from startracker.distortion import Distortion
+from startracker.geometry.distortion import Distortion
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -14,7 +14,7 @@ from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 OUTPUT = Path(__file__).parents[1] / "images" / "smear.png"
 FloatArray = NDArray[np.float64]

@@ -13,8 +13,8 @@ from PIL import Image
 from simulator import Scenario
 from simulator.renderer import Renderer
 from startracker import Attitude, StarTracker
-from startracker.annotate import annotated_picture
-from startracker.star_colours import tinted
+from startracker.annotation.annotate import annotated_picture
+from startracker.images.star_colours import tinted
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from simulator.live.stimulator import Exposures, Pattern, Photograph, calibrate_display, nominal_geometry
 from startracker import Attitude, Camera, Distortion, load_catalog
-from startracker.picture import stretch
+from startracker.images.picture import stretch
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

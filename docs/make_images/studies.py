@@ -16,7 +16,7 @@ from simulator.study.design.search import Trade, design
 from simulator.study.design.verification import Verified
 from simulator.study.environment.plots import ageing_figure, particles_figure
 from simulator.study.environment.survey import survey
-from startracker.picture import figure_bytes
+from startracker.images.picture import figure_bytes
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 

@@ -32,7 +32,7 @@ from simulator.live.mrp import attitude_of_mrp, mrp_of_attitude
 from simulator.mission.pointing import local_level, mounting_of
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, STUDY_STYLE, VERMILION
 from startracker import Attitude
-from startracker.picture import figure_bytes
+from startracker.images.picture import figure_bytes
 
 FloatArray = NDArray[np.float64]
 

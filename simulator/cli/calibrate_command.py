@@ -18,11 +18,11 @@ from startracker import detection as detecting
 from startracker.calibration import StarField, calibrate
 from startracker.calibration.camera_file import camera_yaml, summary
 from startracker.calibration.plot import residual_picture
-from startracker.camera import Camera
 from startracker.errors import BoresightError, InputError
 from startracker.front_end import Clock, find_stars
+from startracker.geometry.camera import Camera
 from startracker.given_image import given_image
-from startracker.image import read_image
+from startracker.images.reading import read_image
 from startracker.observer import Observer
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings

@@ -59,7 +59,7 @@ def picture_format(path: Path | None) -> str:
     InputError
         Where it cannot be written, or its suffix is no format.
     """
-    from startracker.picture import FORMATS
+    from startracker.images.picture import FORMATS
 
     writable(path)
     form = "png" if path is None else path.suffix.lower().removeprefix(".")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from simulator.paths import make_folder
 from startracker.errors import InputError
-from startracker.image import sample_photo
+from startracker.images.reading import sample_photo
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *FITS_SUFFIXES)

@@ -14,8 +14,8 @@ from simulator.fits import write_fits
 from simulator.frame import Frame, FrameTruth
 from simulator.paths import make_folder, write_atomically
 from simulator.renderer import Renderer
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 
 def main(request: RenderRequest) -> int:
@@ -64,7 +64,7 @@ def _write(frame: Frame, truth: FrameTruth, image: Path | None, picture: Path | 
 
 def _preview(frame: Frame, truth: FrameTruth, form: str, request: RenderRequest) -> bytes:
     from simulator.study.pictures import frame_picture, frame_preview
-    from startracker.picture import figure_bytes, pixel_bytes
+    from startracker.images.picture import figure_bytes, pixel_bytes
 
     if request.axes:
         return figure_bytes(frame_preview(frame, truth), form, dpi=130)

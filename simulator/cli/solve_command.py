@@ -22,10 +22,10 @@ from simulator.cli.solve_output import as_dict, as_text, write_picture, write_wc
 from simulator.fits import read_fits
 from simulator.frame import Frame
 from startracker.blind import solve_unknown_fov
-from startracker.camera import Camera
 from startracker.detection import mask_pixels
 from startracker.errors import BoresightError, InputError
-from startracker.image import read_image
+from startracker.geometry.camera import Camera
+from startracker.images.reading import read_image
 from startracker.observer import Observer
 from startracker.solution import Solution, Status
 from startracker.trace import Step
@@ -110,7 +110,7 @@ def _solve(source: Path, solver: _Solver, files: _Files) -> bool:
         }
         shown = job.pixels() if job.colours is None else job.colours
         if request.colour and shown.ndim == 2 and solution.matched:
-            from startracker.annotate import star_coloured
+            from startracker.annotation.annotate import star_coloured
 
             shown = star_coloured(shown, solution, request.catalog)
         write_picture(picture, solution, shown, job.observer, **options)

@@ -118,6 +118,6 @@ def write_picture(
     path: Path, solution: Solution, image: NDArray[Any], observer: Observer | None, **options: Any
 ) -> None:
     """The annotated picture in the format of its suffix, of an unsolved field too; `options` as in `annotate`."""
-    from startracker.annotate import annotated_picture
+    from startracker.annotation.annotate import annotated_picture
 
     write_atomically(path, annotated_picture(image, solution, picture_format(path), observer=observer, **options))

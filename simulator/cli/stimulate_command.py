@@ -20,7 +20,7 @@ from startracker.errors import InputError
 if TYPE_CHECKING:
     from simulator.live.stimulator import DisplayPicture, Pattern, Photograph, Stimulator
     from simulator.renderer import Renderer
-    from startracker.camera import Camera
+    from startracker.geometry.camera import Camera
 
 _SETTINGS = "pattern.yaml"
 _PHOTOGRAPH = re.compile(r"(dots(-\w+)?|uniform|ramp-(red|green|blue)|black|off)\.(png|tiff?|fits?|fts)", re.IGNORECASE)
@@ -102,7 +102,7 @@ def calibrate_command(
     """Calibrate display and collimator from photographs: geometry, distortion, brightness and curve of each colour."""
     from simulator.live.stimulator import Exposures, calibrate_display, nominal_geometry, stimulator_yaml
     from simulator.paths import write_atomically
-    from startracker.camera import Camera
+    from startracker.geometry.camera import Camera
 
     writable(out)
     if not photographs.is_dir():
@@ -137,7 +137,7 @@ def align_command(
     """Align a calibrated display with another camera, or one that was moved, from one photograph of the dots."""
     from simulator.live.stimulator import align_display, read_stimulator, stimulator_yaml
     from simulator.paths import write_atomically
-    from startracker.camera import Camera
+    from startracker.geometry.camera import Camera
 
     target = out or stimulator
     writable(target)
@@ -266,7 +266,7 @@ def _photograph(path: Path, camera: Camera, flat: Path | None) -> Photograph:
     import numpy as np
 
     from simulator.live.stimulator import Photograph
-    from startracker.image import read_image
+    from startracker.images.reading import read_image
 
     loaded = read_image(path, upright=False)
     photograph = Photograph(str(path), loaded.image, camera, loaded.saturation_dn)

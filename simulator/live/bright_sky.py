@@ -9,7 +9,7 @@ import numpy as np
 
 from startracker.catalog import load_catalog
 from startracker.catalog.names import constellation_lines, designation, proper_name
-from startracker.star_colours import rgb_of_b_v
+from startracker.images.star_colours import rgb_of_b_v
 
 __all__ = ["bright_sky"]
 

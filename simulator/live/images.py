@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.fits import fits_bytes
 from simulator.frame import Frame
-from startracker.picture import stretch
+from startracker.images.picture import stretch
 
 __all__ = ["Encoded", "encode", "raw16"]
 

@@ -13,7 +13,7 @@ from simulator.mission.pointing import Pointing
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 
 __all__ = ["Given", "ScenarioMotion", "turned_on"]
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 __all__ = ["attitude_of_mrp", "euler_parameters", "mrp_of_attitude"]
 

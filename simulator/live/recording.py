@@ -20,7 +20,7 @@ from simulator.scenario.schema_sequence import DropoutSection
 from simulator.scenario.sequence_rules import MOST_FRAMES
 from simulator.study.sequence.true_motion import RECORDED_COLUMNS, process_noise
 from startracker._version import __version__
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, RateNoise
 
 __all__ = ["Recording"]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 
 _STEP_S = 0.01
 """Half of the interval of the numerical rate: relative error (ω h)²/6 of a steady rate, 4e-8 s of rounding in times of

@@ -27,8 +27,8 @@ from simulator.mission.slews import trapezoid
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.display import fields_repr
+from startracker.geometry.attitude import Attitude
 
 _LARGEST_TURN_RAD = 0.02
 """Maximum rotation in one step of the integration."""

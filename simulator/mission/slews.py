@@ -14,8 +14,8 @@ from simulator.mission.clock import Clock
 from simulator.mission.parameters import Waypoints
 from simulator.mission.trajectory import UNLIMITED, refuse_outside
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 
 def trapezoid(turn_rad: float, max_rate_deg_s: float, acceleration_deg_s2: float) -> tuple[FloatArray, FloatArray]:

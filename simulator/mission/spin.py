@@ -17,7 +17,7 @@ import numpy as np
 
 from simulator.mission.parameters import Spin
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude, radec_to_direction
+from startracker.geometry.attitude import Attitude, radec_to_direction
 
 
 def cone_rate_rad_s(spin: Spin) -> float:

@@ -15,9 +15,9 @@ from simulator.mission.frames import states_to_gcrs
 from simulator.mission.parameters import GroundTarget, Track
 from simulator.mission.trajectory import States, Trajectory, centre_state, geocentric
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude, radec_to_direction
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, radec_to_direction
 
 _LEAST_SINE = 1e-6
 """Target and second direction that are nearer to each other, 0.2″, leave the roll undetermined."""

@@ -17,8 +17,8 @@ from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import render_stars
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.kernels import kernel, kernel_part
 
 CONVOLVED_PX = 256.0

@@ -31,8 +31,8 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.display import changed_fields
+from startracker.geometry.camera import Camera
 
 C_LINE_NM, F_LINE_NM = 656.27, 486.13
 """Fraunhofer lines between which lateral colour is stated, hydrogen α and β."""

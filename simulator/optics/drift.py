@@ -18,7 +18,7 @@ from simulator.optics.smear import (
     wander_length_px,
 )
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 _CHORDS = 32
 

@@ -27,7 +27,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ from simulator.optics.smear import (
     wander_length_px,
 )
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.pupil import legendre
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
-from startracker.image_map import ImageMap, to_pixels
+from startracker.geometry.camera import Camera
+from startracker.geometry.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel
 
 DEFAULT_FEATURE_PX = 0.5

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

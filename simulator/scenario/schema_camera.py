@@ -13,7 +13,7 @@ from simulator.optics.illumination import Vignetting
 from simulator.optics.pixel_response import IntraPixel
 from simulator.optics.psf_model import PsfModel
 from simulator.scenario.schema_base import Fraction, NonNegative, Positive, Section
-from startracker.distortion import Distortion
+from startracker.geometry.distortion import Distortion
 
 
 class ThermalSection(Section):

@@ -20,10 +20,10 @@ from scipy.spatial import cKDTree
 from simulator.sky.earth import earth_radiance_map
 from simulator.sky.star_counts import light_between_s10
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude, direction_to_radec, radec_to_direction
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
-from startracker.distortion import Distortion
+from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky

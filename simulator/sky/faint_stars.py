@@ -19,8 +19,8 @@ from simulator.randomness import stream
 from simulator.sky.background import star_contrast
 from simulator.sky.star_counts import count_between, draw_magnitudes
 from startracker.arrays import FloatArray
-from startracker.attitude import radec_to_direction
 from startracker.constants import ARCSEC_RAD
+from startracker.geometry.attitude import radec_to_direction
 
 _BAND_DEG = 4.0
 _CELL_REACH_RAD = math.radians(4.5)

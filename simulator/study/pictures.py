@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.style import PICTURE_STYLE, new_figure
-from startracker.annotate_labels import Label, Labels
+from startracker.annotation.labels import Label, Labels
 from startracker.catalog.names import designation, proper_name
-from startracker.picture import rgb_pixels, stretch
-from startracker.star_colours import tinted
+from startracker.images.picture import rgb_pixels, stretch
+from startracker.images.star_colours import tinted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

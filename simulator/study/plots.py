@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.study.pictures import frame_preview, solved_image
 from simulator.study.style import PICTURE_STYLE, new_figure
-from startracker.picture import figure_bytes
+from startracker.images.picture import figure_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -53,7 +53,7 @@ def write_study(
 ) -> tuple[str, ...]:
     """Write ``KIND.json`` with the identity, ``KIND.parquet`` if there is a table, and every figure as PNG; returns the
     names of the files."""
-    from startracker.picture import figure_bytes
+    from startracker.images.picture import figure_bytes
 
     stated = {"identity": identity.to_dict() if identity else None}
     files: dict[str, str | bytes] = {f"{kind}.json": json_text({**values, **stated})}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
 from startracker.calibration.field import StarField
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 from startracker.lens_fit import Matches, fit_jointly, rescaled
 
 _SIGMAS = 5.0

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
 from startracker.display import described
+from startracker.geometry.camera import Camera
 from startracker.identification.verification import nearest_unique
 from startracker.observer import Observer, aberrate
 

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_filter import LensFilter, LensUpdate
 from startracker.calibration.psf_width import WidthFilter, star_widths
-from startracker.camera import Camera
 from startracker.detection.bad_pixels import mask_pixels
 from startracker.detection.defect_map import DefectMap
 from startracker.display import described
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.given_image import GivenImage
 from startracker.settings import CentroidSettings, InFlightSettings
 

@@ -10,9 +10,9 @@ import numpy as np
 from startracker.arrays import FloatArray, IntArray
 from startracker.blind import solve_unknown_fov
 from startracker.calibration.field import SkyPart, StarField, sky_part
-from startracker.camera import Camera
 from startracker.catalog.stars import StarCatalog
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 from startracker.lens_fit import Matches
 
 _STATED_PX = 0.1

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.attitude import rotation_vector_to_matrix
-from startracker.camera import Camera
+from startracker.geometry.attitude import rotation_vector_to_matrix
+from startracker.geometry.camera import Camera
 from startracker.lens import by_turn, sensitivity
 from startracker.lens_fit import Matches
 

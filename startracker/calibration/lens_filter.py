@@ -29,9 +29,9 @@ from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_equations import LensEquations, lens_equations
 from startracker.calibration.star_memory import StarMemory
-from startracker.camera import Camera
 from startracker.display import described, fields_repr
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 from startracker.lens import PARAMETERS, change_lens, corner_radius, is_one_to_one, value_of
 from startracker.settings import InFlightSettings
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from startracker.calibration.result import Calibration
 from startracker.constants import ARCSEC_RAD
-from startracker.picture import figure_bytes
+from startracker.images.picture import figure_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

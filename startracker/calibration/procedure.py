@@ -18,15 +18,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
 from startracker.calibration.consensus import agreeing, focal_lengths, repeated
 from startracker.calibration.field import StarField, pair_up
 from startracker.calibration.known import KnownField, identify_all, starting_camera
 from startracker.calibration.result import CalibratedField, Calibration
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification.association import REJECT_SIGMAS
 from startracker.lens import PARAMETERS, only, plain
 from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled, significant, stretch

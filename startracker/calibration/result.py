@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
 from startracker.display import described
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.lens import prior_of
 
 

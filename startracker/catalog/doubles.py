@@ -9,9 +9,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from startracker.attitude import direction_to_radec
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
+from startracker.geometry.attitude import direction_to_radec
 
 
 def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 from startracker.kernels import kernel
 
 _AZIMUTHS = 720

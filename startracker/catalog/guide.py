@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
 from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.field_shape import FieldShape, field_shape
@@ -25,6 +24,7 @@ from startracker.catalog.voxels import VoxelGrid, stars_in_cone, stars_on_image,
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.display import described
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 from startracker.observer import Observer
 from startracker.records import changed
 from startracker.settings import IdentificationSettings

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import direction_to_radec, radec_to_direction
 from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
 from startracker.display import described, quantity_range
 from startracker.errors import InputError
+from startracker.geometry.attitude import direction_to_radec, radec_to_direction
 from startracker.interop import julian_year
 
 _AU_PER_YEAR_IN_KM_S = AU_KM / (DAYS_PER_JULIAN_YEAR * 86_400.0)

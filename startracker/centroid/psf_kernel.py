@@ -11,8 +11,8 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.psf_model import Samples
 from startracker.centroid.psf_sums import fill_window, interpolate, interpolated, normal_equations, weigh_pixels
 from startracker.centroid.window import Pixels, read_pixels
+from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import factorise, substitute
 
 Box: TypeAlias = tuple[int, int, int, int]
 Two: TypeAlias = tuple[float, float]

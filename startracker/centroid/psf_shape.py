@@ -15,8 +15,8 @@ from startracker.centroid.psf_model import PsfModel, gaussian_psf
 from startracker.centroid.psf_sums import normal_equations
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
+from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import factorise, substitute
 from startracker.sorting import median
 
 Shape: TypeAlias = tuple[float, float, float]

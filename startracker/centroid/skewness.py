@@ -28,8 +28,8 @@ import numpy as np
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
+from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import factorise, substitute
 
 Shape: TypeAlias = tuple[float, float, float]
 """Variances along x and y and covariance of the star image, px²."""

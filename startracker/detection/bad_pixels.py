@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.detection.background import as_image, estimate
+from startracker.detection.thresholds import BAD_SHARE, FEWEST_FRAMES
 from startracker.errors import InputError
-
-_SHARE = 0.75
-_FEWEST_FRAMES = 3
 
 
 def mask_pixels(image: ArrayLike, bad_pixels: ArrayLike | None) -> NDArray[np.float32]:
@@ -54,7 +52,7 @@ class BadPixelCount:
         A share or a threshold that cannot be.
     """
 
-    def __init__(self, sigma: float = 5.0, share: float = _SHARE, tile_px: int = 64) -> None:
+    def __init__(self, sigma: float = 5.0, share: float = BAD_SHARE, tile_px: int = 64) -> None:
         if not 0.0 < share <= 1.0:
             raise InputError(f"share is {share}; it must be above 0 and at most 1")
         if not sigma > 0.0:
@@ -96,7 +94,7 @@ class BadPixelCount:
         self._seen += judged
         self.frames += 1
 
-    def bad(self, fewest_frames: int = _FEWEST_FRAMES) -> NDArray[np.bool_]:
+    def bad(self, fewest_frames: int = FEWEST_FRAMES) -> NDArray[np.bool_]:
         """Pixels off in `share` of the frames that judge them, and in two at least; (H, W).
 
         Parameters
@@ -113,7 +111,7 @@ class BadPixelCount:
 
 
 def find_bad_pixels(
-    frames: Iterable[ArrayLike], sigma: float = 5.0, share: float = _SHARE, tile_px: int = 64
+    frames: Iterable[ArrayLike], sigma: float = 5.0, share: float = BAD_SHARE, tile_px: int = 64
 ) -> NDArray[np.bool_]:
     """Pixels that are off by more than `sigma` times the noise, the same way, in most frames of different pointing.
 
@@ -146,8 +144,6 @@ def find_bad_pixels(
     counted = BadPixelCount(sigma, share, tile_px)
     for frame in frames:
         counted.add(frame)
-    if counted.frames < _FEWEST_FRAMES:
-        raise InputError(
-            f"bad pixels need at least {_FEWEST_FRAMES} frames of different pointing; got {counted.frames}"
-        )
+    if counted.frames < FEWEST_FRAMES:
+        raise InputError(f"bad pixels need at least {FEWEST_FRAMES} frames of different pointing; got {counted.frames}")
     return counted.bad()

@@ -127,7 +127,7 @@ def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
     wide, sharp = clear[is_wide, MINOR], clear[~is_wide]
     alone = np.count_nonzero(sharp[:, PEAK_SHARE] > HOT_PEAK_SHARE)
     if len(sharp) >= MANY_SHARP and alone >= HOT_SHARE * len(sharp) and len(wide) >= FEWEST_WIDE:
-        return common_width(wide)
+        width = common_width(wide)
     return width
 
 

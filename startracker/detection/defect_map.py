@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.detection.bad_pixels import BadPixelCount
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 
 BoolImage = NDArray[np.bool_]
 

@@ -10,6 +10,16 @@ from numpy.typing import NDArray
 from startracker.detection.background import Background
 from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
+from startracker.detection.thresholds import (
+    ALONE_OF_RANDOM,
+    CROWDED,
+    GAP_POWERS,
+    HIGHEST_SIGMA,
+    HOT_TIMES,
+    IMPULSE_SHARE,
+    IMPULSE_SIGMA,
+    MOSTLY_ALONE,
+)
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
 
@@ -17,25 +27,8 @@ FloatImage = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 _SAMPLES = 1024
-_HIGHEST_SIGMA = 1e5
-"""Times the noise to which the values of a frame may extend: a 16-bit converter with a noise of one step has 65,535.
-Beyond it the least noise that `noise_floor` ascribes to a frame, 1e-5 of its range, hides the stars."""
-_GAP_POWERS = 7
-"""Empty powers of two between successive values above which the higher ones are no light, a factor of 128 to 256. From
-a star's brightest pixel to its next it is at most 42 for σ = 0.25 px."""
 _POWERS = 256
 """Of two, of float32's values on either side of 1."""
-_CROWDED = 2e-3
-"""Objects a pixel above which hot pixels are looked for: 2,100 on 1024². A deep camera sees 500 stars on 512²."""
-_HOT_TIMES = 4
-"""Or so many times as many hot pixels as stars among the brightest objects."""
-_IMPULSE_SIGMA = 5.0
-_IMPULSE_SHARE = 0.15
-"""Of a hot pixel, what its third brightest neighbour has at most; a star of σ = 0.5 px on a pixel's centre has 0.23."""
-_MOSTLY_ALONE, _ALONE_OF_RANDOM = 0.45, 0.7
-"""Share of the bright pixels higher than their neighbours that must have no neighbour with so much signal, and of the
-share (1 − f)⁸ that a fraction f of all pixels has, hot at random: 0.66 at 5 %, 0.43 at 10 %. Stars as sharp as σ = 0.25
-px do on 0.3 of all phases, but on a frame that is mostly dark."""
 
 
 def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, int]:
@@ -52,7 +45,7 @@ def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, 
     if not len(ordered):
         return pixels, 0
     low, middle, high = (float(ordered[int(share * len(ordered))]) for share in (0.158655, 0.5, 0.841345))
-    limit = _HIGHEST_SIGMA * min(high - middle, middle - low)
+    limit = HIGHEST_SIGMA * min(high - middle, middle - low)
     if not max(highest - middle, middle - lowest) > limit:
         return pixels, 0
     most = _last_light(pixels, middle, limit)
@@ -66,7 +59,7 @@ def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, 
 def _last_light(image: FloatImage, middle: float, limit: float) -> float:
     """Upper end of the values before the first gap beyond a limit, as distances from the middle; infinite for none.
 
-    Distances are counted by their powers of two, of which `_GAP_POWERS` must be empty.
+    Distances are counted by their powers of two, of which `GAP_POWERS` must be empty.
     """
     seen = np.zeros(2 * _POWERS, np.bool_)
     for y in range(image.shape[0]):
@@ -78,7 +71,7 @@ def _last_light(image: FloatImage, middle: float, limit: float) -> float:
     for power in range(2 * _POWERS):
         if not seen[power]:
             continue
-        if last >= 0 and power > first and power - max(last, first) > _GAP_POWERS:
+        if last >= 0 and power > first and power - max(last, first) > GAP_POWERS:
             return math.ldexp(1.0, max(last, first) - _POWERS)
         last = power
     return np.inf
@@ -87,7 +80,7 @@ def _last_light(image: FloatImage, middle: float, limit: float) -> float:
 def has_crowd(spots: Spots, pixels: int) -> bool:
     """Whether a frame has more objects than stars would give, or far more hot pixels than stars."""
     objects = len(spots) + sum(spots.rejected.values())
-    return objects > _CROWDED * pixels or spots.rejected.get("hot pixel", 0) > _HOT_TIMES * max(len(spots), 1)
+    return objects > CROWDED * pixels or spots.rejected.get("hot pixel", 0) > HOT_TIMES * max(len(spots), 1)
 
 
 def mask_impulses(pixels: Image, background: Background) -> tuple[Image, int]:
@@ -98,7 +91,7 @@ def mask_impulses(pixels: Image, background: Background) -> tuple[Image, int]:
     """
     bad, alone, peaks = _impulses(pixels, background.level_plane, background.noise_plane)
     at_random = (1.0 - np.count_nonzero(bad) / bad.size) ** 8
-    if not alone or alone < min(_MOSTLY_ALONE, _ALONE_OF_RANDOM * at_random) * peaks:
+    if not alone or alone < min(MOSTLY_ALONE, ALONE_OF_RANDOM * at_random) * peaks:
         return pixels, 0
     count = int(np.count_nonzero(bad))
     return np.where(bad, np.float32(np.nan), pixels.astype(np.float32, copy=False)), count
@@ -114,9 +107,9 @@ def _impulses(image: Image, level: Plane, noise: Plane) -> tuple[Flags, int, int
         for x in range(width):
             sky = level[y, x]
             signal = np.float32(image[y, x]) - sky
-            if not (signal > np.float32(_IMPULSE_SIGMA) * noise[y, x] and is_value(image[y, x])):
+            if not (signal > np.float32(IMPULSE_SIGMA) * noise[y, x] and is_value(image[y, x])):
                 continue
-            limit, higher, above = np.float32(_IMPULSE_SHARE) * signal + sky, 0, 0
+            limit, higher, above = np.float32(IMPULSE_SHARE) * signal + sky, 0, 0
             for j in range(max(y - 1, 0), min(y + 2, height)):
                 for i in range(max(x - 1, 0), min(x + 2, width)):
                     above += int(np.float32(image[j, i]) > limit)

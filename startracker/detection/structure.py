@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray
 from startracker.detection.background import Background, noise_floor
 from startracker.detection.plane import Plane
+from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES
 from startracker.detection.tiles import interpolate_tiles, select_kth, smooth_tiles, tile_statistics
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel
@@ -22,9 +23,6 @@ _ROWS, _COLUMNS = 16, 64
 """Where differences are taken: along few rows, as every row of an image must be fetched again."""
 _SPREAD = 0.67449 * math.sqrt(1.5)
 """Median of the absolute value of such a difference, for noise of 1."""
-_NOISE_TIMES = 1.5
-"""Noise of the tiles over the noise of the pixels above which there is structure in the tiles, a loss of 0.4 mag; it is
-0.8 to 1.15 in photographs of the sky and in frames without structure."""
 _BIN_PX = 4
 _REACH_BINS = 2
 """The background is a median of 5 × 5 bins: 20 px, of which a star takes 4 bins of 25, a long trail 5 to 10."""
@@ -55,7 +53,7 @@ def _is_quiet(image: Image, noise: Plane) -> bool:
                 beside = np.float64(image[y - dy, x - dx]) + np.float64(image[y + dy, x + dx])
                 value = np.float32(abs(np.float64(image[y, x]) - 0.5 * beside) / noise[y, x])
                 count += int(abs(value) < np.inf)
-                below += int(value / _SPREAD * _NOISE_TIMES < 1.0)
+                below += int(value / _SPREAD * STRUCTURE_NOISE_TIMES < 1.0)
                 equal += int(value <= 0.0)
         quiet &= below > count // 2 or count == 0
         moving |= equal <= count // 2 and count > 0

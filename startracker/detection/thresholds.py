@@ -1,9 +1,39 @@
-"""Thresholds of the decisions what a source is: star, halo, hot pixel, cosmic ray or trail.
+"""Thresholds of detection: what of a frame is light, and what a source is: star, halo, hot pixel, cosmic ray or trail.
 
 Each has its unit in its name or its text, and its reason; `tests/statistical/test_detection_curves.py` draws detection
 and false alarms of the principal ones over rendered stars. Kernels are compiled with these values: numba's cache does
 not see a change here, so delete it after one.
 """
+
+# ---------------------------------------------------------------------- values of a frame
+HIGHEST_SIGMA = 1e5
+"""Times the noise to which the values of a frame may extend: a 16-bit converter with a noise of one step has 65,535.
+Beyond it the least noise that `background.noise_floor` ascribes to a frame, 1e-5 of its range, hides the stars."""
+GAP_POWERS = 7
+"""Empty powers of two between successive values above which the higher ones are no light, a factor of 128 to 256. From
+a star's brightest pixel to its next it is at most 42 for σ = 0.25 px."""
+STRUCTURE_NOISE_TIMES = 1.5
+"""Noise of the tiles over the noise of the pixels above which there is structure in the tiles, a loss of 0.4 mag; it is
+0.8 to 1.15 in photographs of the sky and in frames without structure."""
+
+# ---------------------------------------------------------------------- frames full of hot pixels
+CROWDED = 2e-3
+"""Objects a pixel above which hot pixels are looked for: 2,100 on 1024². A deep camera sees 500 stars on 512²."""
+HOT_TIMES = 4
+"""Or so many times as many hot pixels as stars among the brightest objects."""
+IMPULSE_SIGMA = 5.0
+"""Noise of a pixel above the background from which it can be one of them: by chance once in 3.5 million pixels."""
+IMPULSE_SHARE = 0.15
+"""Of a hot pixel, what its third brightest neighbour has at most; a star of σ = 0.5 px on a pixel's centre has 0.23."""
+MOSTLY_ALONE, ALONE_OF_RANDOM = 0.45, 0.7
+"""Share of the bright pixels higher than their neighbours that must have no neighbour with so much signal, and of the
+share (1 − f)⁸ that a fraction f of all pixels has, hot at random: 0.66 at 5 %, 0.43 at 10 %. Stars as sharp as σ = 0.25
+px do on 0.3 of all phases, but on a frame that is mostly dark."""
+
+# ---------------------------------------------------------------------- pixels that are bad in many frames
+BAD_SHARE, FEWEST_FRAMES = 0.75, 3
+"""Share of the frames in which a pixel stands out, and frames at least: while the sky moves, a star is on one pixel in
+one frame, or in two if it moves along itself."""
 
 # ---------------------------------------------------------------------- what is looked at
 LOOKED_AT, LOOKED_AT_MORE = 6, 36

@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
+from startracker.geometry.linalg import cross, inverse, transform, turned
 from startracker.kernels import kernel
-from startracker.linalg import cross, inverse, transform, turned
 
 _STEPS, _SETTLED_RAD = 12, 1e-9
 _LARGEST_TURN_RAD = 0.1

@@ -48,8 +48,8 @@ from scipy.special import chdtri, fdtri
 
 from startracker.arrays import FloatArray
 from startracker.estimation.image_errors import AS_ASSUMED
+from startracker.geometry.linalg import inverse
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import inverse
 from startracker.sorting import median
 
 TRUSTED = 20.0
@@ -80,7 +80,7 @@ class Linearised(NamedTuple):
     residual: FloatArray
     """Measured minus predicted, pixels, (M, 2)."""
     slopes: FloatArray
-    """`startracker.image_map.pixel_slopes`, (M, 2, 3)."""
+    """`startracker.geometry.image_map.pixel_slopes`, (M, 2, 3)."""
     offset: FloatArray
     """Predicted positions relative to the principal point, (M, 2), which scale with the focal length."""
     covariance: FloatArray

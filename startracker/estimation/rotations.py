@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.linalg import inverse, turned
+from startracker.geometry.linalg import inverse, turned
 
 _STEPS = 12
 _LARGEST_STEP = 0.3  # rad; limit of Newton's quadratic model of the cost

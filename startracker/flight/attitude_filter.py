@@ -160,7 +160,7 @@ def _symmetric(a: Matrix) -> Matrix:
 
 # ------------------------------------------------------------------ quaternions of 2.30
 def product(second: list[int], first: list[int]) -> list[int]:
-    """Quaternion (4,) of a rotation after another (`startracker.attitude.quat_multiply`)."""
+    """Quaternion (4,) of a rotation after another (`startracker.geometry.attitude.quat_multiply`)."""
     x1, y1, z1, w1 = second
     x2, y2, z2, w2 = first
     return [

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings, TrackingSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
 

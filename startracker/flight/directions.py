@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arrays import BoolArray, FloatArray
-from startracker.camera import Camera
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.formats import Integers, divide
 from startracker.fixed_point.square_root import square_root
 from startracker.flight.design import FlightDesign
+from startracker.geometry.camera import Camera
 
 GRID_MODULES = ("integers", "directions")
 GRID_ERROR_PX = 0.001

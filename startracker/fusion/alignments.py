@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.tracking.kinematics import correct, turn_quaternion
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise, chi_square_limit, rotation_between
 

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.fusion.alignments import AlignedMekf, Head
+from startracker.geometry.attitude import Attitude
 from startracker.tracking.mekf import GyroNoise, Innovation, RateNoise
 
 _MOST_REJECTED = 3

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.wide import WideArithmetic
+from startracker.geometry.attitude import radec_to_direction
 
 Numbers: TypeAlias = NDArray[Any]
 """Values in an arithmetic's own format: float64 degrees in floating point, int64 in the integer build."""

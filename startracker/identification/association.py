@@ -10,10 +10,10 @@ import numpy as np
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.voxels import VoxelGrid, stars_on_image
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
+from startracker.geometry.image_map import ImageMap, to_pixels
+from startracker.geometry.linalg import transform
 from startracker.identification.verification import nearest_unique
-from startracker.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import transform
 from startracker.sorting import median
 
 REJECT_SIGMAS = 3.7

@@ -23,10 +23,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import rotation_vector_to_matrix
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.wahba import fit_rotation
+from startracker.geometry.attitude import rotation_vector_to_matrix
+from startracker.geometry.camera import Camera
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.quads import QuadIndex, neighbour_quads, sky_codes
 from startracker.identification.verification import nearest_unique

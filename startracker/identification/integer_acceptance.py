@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS, PLANE_BITS, Tables
 from startracker.fixed_point.vectors import DIRECTION
 from startracker.fixed_point.verification import MOST_EXTRA
+from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.bayes_factor import DISTRACTORS, SCALE_LOG_PRIOR, SCALES, SEEN, count_table
 
 MAX_POINTS = 24

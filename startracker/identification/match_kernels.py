@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.geometry.linalg import triple_product
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import triple_product
 
 WordArray = NDArray[np.uint64]
 

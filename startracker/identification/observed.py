@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray, filled
-from startracker.attitude import Attitude
 from startracker.display import fields_repr
 from startracker.errors import InputError
-from startracker.image_map import ImageMap, to_directions
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.image_map import ImageMap, to_directions
 from startracker.interop import is_rotation, is_skycoord, plain
 from startracker.kernels import kernel
 from startracker.solution import Status

@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
 from startracker.catalog import cache
 from startracker.catalog.guide import GuideDatabase, field_of
 from startracker.catalog.stars import StarCatalog
+from startracker.geometry.camera import Camera
+from startracker.geometry.linalg import chord
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import chord
 
 FORMAT = 1
 BINS = 32

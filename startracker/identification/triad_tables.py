@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import radec_to_direction
 from startracker.errors import InputError
+from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.arithmetic import Arithmetic, Numbers
 
 _ROUNDING = 1e-9

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, Int32Array, IntArray
+from startracker.geometry.linalg import triple_product
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import triple_product
 from startracker.sorting import order_of
 
 PAIR_SIGMAS = 3.7

@@ -12,11 +12,11 @@ from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
 from startracker.estimation.directions import normal_equations
+from startracker.geometry.linalg import rotate_back, solve, transform, turned
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import rotate_back, solve, transform, turned
 from startracker.sorting import sort
 
 GATE_SIGMAS = 4.5

@@ -7,10 +7,10 @@ import zlib
 
 import numpy as np
 
-from startracker.camera import Camera
 from startracker.catalog import cache, load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.geometry.camera import Camera
 from startracker.identification.quads import QuadIndex, build_quads, pack_quads, unpack_quads
 
 _MAGNITUDE_LIMIT = 9.0

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
+from startracker.geometry.linalg import inverse, transform, turned
 from startracker.kernels import kernel_part
-from startracker.linalg import inverse, transform, turned
 
 
 @kernel_part

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
+from startracker.geometry.image_map import to_pixels
 from startracker.identification.acceptance import log_chance, power_of_ten
-from startracker.image_map import to_pixels
 from startracker.observer import Observer
 from startracker.records import made
 from startracker.solution import MatchedStars, Solution, Status

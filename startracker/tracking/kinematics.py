@@ -12,8 +12,8 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.estimation.directions import normal_equations
+from startracker.geometry.linalg import factorise, transform
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import factorise, transform
 
 _SMALL = 0.03
 """Angle of a step, rad, below which series are used, as the closed forms lose precision."""

@@ -16,8 +16,8 @@ from startracker.catalog.sky_view import SkyView
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.detection import Background
 from startracker.errors import InputError
+from startracker.geometry.image_map import to_directions
 from startracker.given_centroids import SAME_STAR_PX
-from startracker.image_map import to_directions
 from startracker.observer import Observer
 from startracker.records import made
 from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker

@@ -18,8 +18,8 @@ from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
 from startracker.estimation.directions import fit_turn
+from startracker.geometry.linalg import cross, inverse, transform, turned
 from startracker.kernels import kernel, kernel_part
-from startracker.linalg import cross, inverse, transform, turned
 from startracker.tracking.evidence import log_evidence
 
 GATE2 = 18.4

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.records import made
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 

@@ -24,13 +24,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation, label
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.detection.background import Background, estimate
 from startracker.detection.bad_pixels import mask_pixels
 from startracker.detection.defect_map import DefectMap
 from startracker.display import fields_repr
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
 

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.wahba import attitude_covariance
 from startracker.front_end import Clock
+from startracker.geometry.attitude import Attitude
 from startracker.given_image import GivenImage, given_image
 from startracker.identification.acceptance import accepts
 from startracker.interop import is_rotation, plain

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import accepts
 from startracker.observer import unknown_aberration
 from startracker.settings import IdentificationSettings

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.centroid.psf_fit import MISFIT_SIGMA, SYSTEMATIC_PX
 from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.detection.background import Background
 from startracker.detection.matched import DEFAULT_SIGMA_PX
 from startracker.detection.motion import agrees
 from startracker.detection.values import Image, as_pixels
+from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings
 from startracker.trails.fit import measure_trails
 from startracker.trails.lines import SHORTEST_PX, bin_residual, candidate_lines, lines_along

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
 from startracker.detection.motion import agrees, common_motion, motion_at
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import MOTION_TOLERANCE_PX, MOTION_TOLERANCE_SHARE
+from startracker.geometry.camera import Camera
 from startracker.trails.fit import best_stretches, fit_trail, light_along
 from startracker.trails.lines import COARSE_SIGMA, LONGEST_SHARE
 from startracker.trails.model import ANGLE, FLUX, HALF, LINE, SIGMA, TURNED, X, Y

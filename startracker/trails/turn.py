@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.centroid.psf_fit import MISFIT_SIGMA
 from startracker.centroid.result import Centroids
+from startracker.geometry.camera import Camera
 from startracker.trails.result import Trails
 
 _MOTION_ERROR_PX, _MOTION_ERROR_SHARE = 0.3, 0.02

@@ -13,12 +13,12 @@ from simulator.randomness import stream
 from simulator.study.exported_c.build import HOST, compile_export
 from simulator.study.exported_c.targets import Target
 from startracker import Camera, StarTracker
-from startracker.distortion import Distortion
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import assemble, flight_export, flight_parts
 from startracker.flight.hypotheses import FlightPrior
 from startracker.flight.solver import FlightTracker
 from startracker.flight.stars import StarList
+from startracker.geometry.distortion import Distortion
 from startracker.settings import TriadSettings
 from startracker.solution import Status
 

@@ -13,8 +13,8 @@ from simulator import Scenario
 from simulator.cli import _run
 from simulator.study.sequence.heads import HeadsRunner
 from simulator.study.sequence.run import run_sequence
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 GYRO = "sequence.gyro={use: true, angle_random_walk_deg_sqrt_h: 0.01, bias_deg_h: 5, scale_factor_ppm: 300}"
 A = "name: a, mounting: orbit_normal"

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import simulator.live
 from startracker import Attitude
-from startracker.picture import stretch
+from startracker.images.picture import stretch
 
 pytestmark = pytest.mark.system
 

@@ -18,8 +18,8 @@ from simulator.checks import load_scenario
 from simulator.cli.application import run_application
 from simulator.live.server import LiveServer, ServerOptions, _bound
 from simulator.study.sequence.frames import SequenceRunner
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 CLIENT = Path(__file__).parents[2] / "examples/live/client.py"
 

@@ -13,8 +13,8 @@ from simulator import Scenario
 from simulator.cli import _run
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.run import run_sequence
-from startracker.attitude import Attitude
 from startracker.errors import BoresightError, InputError
+from startracker.geometry.attitude import Attitude
 
 SMALL = [
     "detector.width=384",

@@ -10,7 +10,7 @@ from PIL import Image
 
 from simulator.cli import _run
 from startracker import Attitude, Camera, load_catalog
-from startracker.attitude import direction_to_radec
+from startracker.geometry.attitude import direction_to_radec
 
 CAMERA = Camera.from_fov(16.0, 640, 480)
 ATTITUDE = Attitude.from_radec_roll(84.0, 2.0, 25.0)

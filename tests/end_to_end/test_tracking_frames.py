@@ -7,7 +7,7 @@ import pytest
 
 from simulator import Scenario
 from simulator.renderer import Renderer
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.tracker import StarTracker
 from startracker.tracking import RateNoise, TrackingSession
 

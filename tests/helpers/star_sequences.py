@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.observer import Observer
 from startracker.tracking import TrackingSession
 

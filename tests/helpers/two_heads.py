@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.attitude import Attitude
 from startracker.fusion import Head
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise
 
 ARCSEC = math.radians(1.0 / 3600.0)

@@ -16,7 +16,7 @@ from PIL import Image
 
 from simulator import Scenario
 from simulator.renderer import Renderer
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 
 PHOTOGRAPH = Path(__file__).parents[2] / "startracker" / "sample_photo.jpg"
 FILTERS_NM = {"red": (600.0, 45.0), "green": (535.0, 45.0), "blue": (465.0, 40.0)}

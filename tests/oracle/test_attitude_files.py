@@ -28,8 +28,8 @@ from simulator.mission.parameters import AttitudeSource, OrbitParameters, Pointi
 from simulator.mission.pointing import local_level
 from simulator.mission.spice import Attitudes, spice_kernels
 from simulator.mission.trajectories import build_trajectory
-from startracker.attitude import Attitude, quat_to_matrix
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, quat_to_matrix
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 CLOCK = Clock(EPOCH)

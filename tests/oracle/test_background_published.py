@@ -23,10 +23,10 @@ from simulator.sky.background import (
     zodiacal_s10,
 )
 from simulator.sky.parameters import Sky
-from startracker.attitude import Attitude, radec_to_direction
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
-from startracker.distortion import Distortion
+from startracker.geometry.attitude import Attitude, radec_to_direction
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 SUN = radec_to_direction(math.radians(200.0), math.radians(-8.3))
 SECTION = Sky(background_model="leinert1998")

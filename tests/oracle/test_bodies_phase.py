@@ -16,8 +16,8 @@ from simulator.optics.disk import add_disk
 from simulator.optics.psf import build_psf
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
-from startracker.attitude import Attitude, radec_to_direction
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude, radec_to_direction
+from startracker.geometry.camera import Camera
 
 GAUSSIAN = build_psf(PsfModel(sigma_px=0.9), 1.4, (5.5, 5.5))
 AIRY = build_psf(PsfModel(model="airy"), 8.0, (5.5, 5.5))

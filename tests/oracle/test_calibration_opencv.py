@@ -17,7 +17,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from startracker import lens_fit as joint
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 from startracker.lens_fit import Matches, fit_jointly
 
 HERE = Path(__file__).parent

@@ -27,8 +27,8 @@ from simulator.study.trials.trial import TrialRunner
 from startracker import Attitude, Camera, StarTracker
 from startracker.calibration import StarField, calibrate
 from startracker.constants import ARCSEC_RAD
-from startracker.distortion import Distortion
-from startracker.image_map import pixel_slopes
+from startracker.geometry.distortion import Distortion
+from startracker.geometry.image_map import pixel_slopes
 
 CAMERA = Camera(4545.0, 4000.0, 500.0, 420.0, 1024, 800)
 QUIET = ["sky.earth=false", "sky.planets=false", "pointing.error_deg=0", "study.sampling=sky"]

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from astropy.wcs import WCS
 
-from startracker.attitude import Attitude, radec_to_direction
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude, radec_to_direction
+from startracker.geometry.camera import Camera
 
 
 def tan_wcs(camera, ra_deg, dec_deg, roll_deg):

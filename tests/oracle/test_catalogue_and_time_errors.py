@@ -13,7 +13,7 @@ from simulator.study.sequence.run import run_sequence
 from simulator.study.trials.trial import TrialRunner, attitude_errors_deg, build_tracker
 from startracker.catalog import load_catalog
 from startracker.constants import ARCSEC_RAD, MAS_RAD
-from startracker.image_map import pixel_slopes
+from startracker.geometry.image_map import pixel_slopes
 
 QUIET = ["sky.earth=false", "sky.planets=false", "pointing.error_deg=0", "study.sampling=sky"]
 SMALL = ["detector.width=256", "detector.height=256"]

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from startracker.camera import Camera
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 HERE = Path(__file__).parent
 STORED = json.loads((HERE / "data" / "distortion_opencv.json").read_text(encoding="utf-8"))

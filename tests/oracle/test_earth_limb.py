@@ -28,8 +28,8 @@ from simulator.sky.earth import (
 )
 from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import Bodies
-from startracker.attitude import Attitude, direction_to_radec
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude, direction_to_radec
+from startracker.geometry.camera import Camera
 
 SCENARIOS = sorted((Path(__file__).parents[2] / "scenarios").glob("*.yaml"))
 R_KM = np.array([7178.137, 0.0, 0.0])

@@ -19,7 +19,7 @@ from simulator.sky.faint_stars import FaintSky, StarField
 from simulator.sky.spectra import SOLAR_B_V
 from simulator.sky.star_counts import count_between, draw_magnitudes, light_between_s10
 from startracker import Attitude
-from startracker.attitude import direction_to_radec, radec_to_direction
+from startracker.geometry.attitude import direction_to_radec, radec_to_direction
 
 DARK = ["sky.planets=false", "sky.earth=false", "sky.background=false", "pointing.error_deg=0"]
 SQUARE_DEGREE = np.radians(1.0) ** 2

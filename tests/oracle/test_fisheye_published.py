@@ -15,8 +15,8 @@ from astropy.io.fits import Header
 from astropy.wcs import WCS
 
 from startracker import Attitude, Camera, wcs_header
-from startracker.attitude import direction_to_radec
-from startracker.distortion import Distortion
+from startracker.geometry.attitude import direction_to_radec
+from startracker.geometry.distortion import Distortion
 
 HERE = Path(__file__).parent
 STORED = json.loads((HERE / "data" / "fisheye_opencv.json").read_text(encoding="utf-8"))

@@ -20,8 +20,8 @@ from simulator.fits import read_fits, write_fits
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from startracker import Attitude, Camera, wcs_header
-from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
+from startracker.geometry.attitude import direction_to_radec
 from startracker.observer import aberrate
 
 LENSES = {

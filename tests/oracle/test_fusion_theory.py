@@ -13,9 +13,9 @@ import pytest
 from scipy.linalg import block_diag, expm
 from two_heads import ALONG_X, ALONG_Z, ARCSEC, turned
 
-from startracker.attitude import Attitude
 from startracker.estimation import wahba_svd
 from startracker.fusion import FusionFilter, Head
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise
 
 RUNS = 3000

@@ -15,8 +15,8 @@ from simulator.optics.illumination import Vignetting, illumination_map, relative
 from simulator.optics.thermal import true_camera
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from startracker.camera import Camera
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 CAMERA = Camera.from_fov(60.0, 401, 301)
 

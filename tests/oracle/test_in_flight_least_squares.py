@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from startracker.calibration import InFlightSettings, LensFilter
-from startracker.camera import Camera
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 NO_DRIFT = {
     "focal_length_drift_ppm_sqrt_h": 0.0,

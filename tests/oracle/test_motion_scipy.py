@@ -16,7 +16,7 @@ from simulator.mission.motion import motion, rate_profile
 from simulator.mission.orbit import build_orbit
 from simulator.mission.pointing import hold, point
 from simulator.randomness import stream
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 
 RATES = (
     "sequence.rates=[{at_s: 1, roll_deg_s: 0.5}, {at_s: 4, roll_deg_s: -1, pitch_deg_s: 2, yaw_deg_s: 0.3}, "

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from startracker import read_image, solve_unknown_fov
-from startracker.attitude import radec_to_direction
+from startracker.geometry.attitude import radec_to_direction
 
 FOLDER = Path(__file__).parents[3] / "shared" / "sky"
 PHOTOGRAPHS = {

@@ -27,10 +27,10 @@ from simulator.mission.pointing import local_level, mounting_of
 from simulator.mission.tracking import ground_states
 from simulator.mission.trajectories import build_trajectory
 from simulator.mission.trajectory import centre_state
-from startracker.attitude import Attitude
 from startracker.constants import AU_KM
 from startracker.ephemeris import de421
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 ORBIT = build_trajectory(OrbitParameters(), EPOCH)

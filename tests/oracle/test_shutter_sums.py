@@ -16,8 +16,8 @@ from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 
 CAMERA = Camera.from_fov(10.0, 256, 256)
 PSF = build_psf(PsfModel(model="gaussian", sigma_px=1.2), 2.0, (10.0, 10.0))

@@ -17,11 +17,11 @@ from simulator.mission.trajectory import centre_state
 from simulator.scene import GivenState
 from simulator.sky.apparent import apparent_directions, largest_shift_rad
 from simulator.sky.instants import Instants
-from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
 from startracker.constants import AU_KM, MAS_RAD
 from startracker.ephemeris import de421
 from startracker.errors import InputError
+from startracker.geometry.attitude import direction_to_radec
 
 DAY_S = 86_400.0
 TIMESCALE = load.timescale(builtin=True)

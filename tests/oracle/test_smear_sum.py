@@ -12,8 +12,8 @@ from simulator.optics.psf import build_psf
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.smear import exposure_nodes, star_paths
 from simulator.optics.splat import render_stars
-from startracker.camera import Camera
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 PSFS = [
     ("gaussian", {"sigma_px": 1.2}),

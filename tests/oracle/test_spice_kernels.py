@@ -17,8 +17,8 @@ from simulator.mission.spice import CAMERA_FRAME, SPACECRAFT_ID, Attitudes, spic
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.run import run_sequence
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 CLOCK = Clock(datetime(2026, 3, 21, 12, tzinfo=UTC))
 ORBIT = EllipticOrbit(Elements(9_000.0, 0.2, 1.0, 2.0, 3.0, 0.0), CLOCK, frame="icrf", j2=False)

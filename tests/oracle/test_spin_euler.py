@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from simulator.mission.parameters import Spin
 from simulator.mission.spin import cone_rate_rad_s, spin_attitude, spin_rate_rad_s
-from startracker.attitude import radec_to_direction
+from startracker.geometry.attitude import radec_to_direction
 
 
 def spin(**keys):

@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, Mekf, RateNoise
 from startracker.tracking.kinematics import propagate
 

@@ -10,8 +10,8 @@ from astropy.io.fits import Header
 from astropy.wcs import WCS
 
 from startracker import Attitude, Camera, InputError, wcs_header
-from startracker.attitude import direction_to_radec, radec_to_direction
-from startracker.distortion import Distortion
+from startracker.geometry.attitude import direction_to_radec, radec_to_direction
+from startracker.geometry.distortion import Distortion
 
 CAMERAS = {
     "pinhole": Camera.from_fov(10.0, 512, 512),

@@ -15,7 +15,8 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from startracker.attitude import (
+from startracker.errors import FrameMismatchError, InputError
+from startracker.geometry.attitude import (
     Attitude,
     direction_to_radec,
     matrix_to_quat,
@@ -24,7 +25,6 @@ from startracker.attitude import (
     radec_to_direction,
     rotation_vector_to_matrix,
 )
-from startracker.errors import FrameMismatchError, InputError
 
 component = st.floats(-1.0, 1.0, allow_subnormal=False)
 quats = (

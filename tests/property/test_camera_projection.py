@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from startracker.camera import Camera
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 lenses = st.builds(
     Distortion,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 from startracker.tracker import StarTracker
 
 

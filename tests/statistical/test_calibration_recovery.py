@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from startracker import Attitude, Camera, InputError
 from startracker.calibration import StarField, calibrate
 from startracker.catalog import load_catalog
-from startracker.distortion import Distortion
+from startracker.geometry.distortion import Distortion
 from startracker.lens import value_of
 from startracker.lens_fit import Matches, fit_jointly, rescaled
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from startracker.attitude import Attitude
 from startracker.estimation import METHODS
+from startracker.geometry.attitude import Attitude
 
 ARCSEC = np.pi / 648000
 TRIALS = 2000

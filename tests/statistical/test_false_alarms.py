@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.geometry.camera import Camera
 from startracker.identification import Observed, adaptive
 from startracker.identification.bayes_factor import (
     DISTRACTORS,

@@ -13,7 +13,7 @@ import pytest
 
 from startracker import Attitude, Camera, solve_unknown_fov
 from startracker.catalog import load_catalog
-from startracker.distortion import Distortion
+from startracker.geometry.distortion import Distortion
 
 WIDTH, HEIGHT = 1280, 960
 

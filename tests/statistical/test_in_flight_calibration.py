@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from startracker.calibration import IdentifiedStars, InFlightSettings, LensFilter
 from startracker.calibration.lens_equations import lens_equations
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 NO_DRIFT = {
     "focal_length_drift_ppm_sqrt_h": 0.0,

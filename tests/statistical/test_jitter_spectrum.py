@@ -12,8 +12,8 @@ from simulator.optics.psf_model import PsfModel
 from simulator.optics.smear import exposure_nodes, star_paths
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 
 ARCSEC = np.pi / 648000.0
 TABLE = "frequency_hz,psd\n# three lines of a reaction wheel\n0,1\n9,1\n10,40\n11,1\n30,0.2\n40,0\n"

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from star_sequences import DT, LARGE, Session, motion, nees_of, stars
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.solution import Status
 from startracker.tracker import StarTracker
 from startracker.tracking import GyroNoise, RateNoise

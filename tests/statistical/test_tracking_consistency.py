@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from star_sequences import turned
 
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, Mekf, RateNoise
 
 RUNS = 150

@@ -8,8 +8,8 @@ from scipy.special import chdtri
 from star_sequences import DT, LARGE, Session, motion, nees_of, stars
 
 from simulator.study.intervals import effective_number
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 from startracker.observer import EARTH_KM_S, Observer
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from star_sequences import DT, LARGE, motion, turned
 
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 from startracker.solution import Status
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
 

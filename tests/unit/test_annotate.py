@@ -8,8 +8,8 @@ from matplotlib import rc_context
 from PIL import Image
 
 from startracker import Attitude, Camera, Observer, Solution, Status, load_catalog
-from startracker.annotate import annotate, annotated_picture, star_coloured
-from startracker.annotate_sky import compass_arrows, dec_text, grid_lines, nice_step, ra_text
+from startracker.annotation.annotate import annotate, annotated_picture, star_coloured
+from startracker.annotation.sky import compass_arrows, dec_text, grid_lines, nice_step, ra_text
 from startracker.bodies import body_directions
 from startracker.solution import MatchedStars
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.guide import GuideDatabase
 from startracker.constants import SPEED_OF_LIGHT_KM_S
-from startracker.distortion import Distortion, undistort
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion, undistort
 from startracker.given_centroids import SAME_STAR_PX, clean_centroids
 from startracker.observer import Observer, aberrate
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, poisson
 
-from startracker.attitude import Attitude, rotation_vector_to_matrix
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.geometry.attitude import Attitude, rotation_vector_to_matrix
+from startracker.geometry.camera import Camera
 from startracker.identification import Observed
 from startracker.identification.bayes_factor import (
     DISTRACTORS,

@@ -12,7 +12,7 @@ from benchmarks.cases import CASES, matching
 from benchmarks.scenes import SIZE_PX, Case, SceneMaker, sky
 from benchmarks.score import wrong_limits_rad
 from startracker import Camera
-from startracker.attitude import rotation_vector_to_matrix
+from startracker.geometry.attitude import rotation_vector_to_matrix
 
 N = 2000
 

@@ -11,7 +11,7 @@ from benchmarks.report import OK, RATE_COLUMNS, SHORT, SHORT_OF_STARS, rate_row,
 from benchmarks.scenes import Case, SceneMaker
 from benchmarks.score import IDENTIFIED, NO_MATCH, ROW, WRONG, accuracy, judge, run_case
 from benchmarks.solvers import Answer
-from startracker.attitude import rotation_vector_to_matrix
+from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.identification import METHODS
 
 CASE = Case("scores", target=0.99)

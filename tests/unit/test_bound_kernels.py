@@ -13,9 +13,9 @@ from simulator.optics.smear import _longest, _rotations, _turned, star_paths
 from simulator.optics.splat import add_gaussians
 from simulator.study.trials import bounds
 from simulator.study.trials.trial import TrialRunner
-from startracker.attitude import Attitude
-from startracker.camera import Camera
-from startracker.distortion import Distortion, project_pinhole
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion, project_pinhole
 
 SMALL = ["detector.width=256", "detector.height=256"]
 

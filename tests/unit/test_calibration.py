@@ -9,12 +9,12 @@ import pytest
 
 from simulator.cli import _run
 from startracker import Attitude, Camera, InputError
-from startracker.attitude import rotation_vector_to_matrix
 from startracker.calibration import StarField, calibrate
 from startracker.calibration.camera_file import camera_yaml, rounded, summary
 from startracker.calibration.plot import residual_figure, residual_picture
 from startracker.catalog import load_catalog
-from startracker.distortion import Distortion
+from startracker.geometry.attitude import rotation_vector_to_matrix
+from startracker.geometry.distortion import Distortion
 from startracker.lens import PARAMETERS, change_lens, is_one_to_one, sensitivity
 from startracker.lens_fit import stretch
 

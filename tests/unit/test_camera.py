@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from startracker.camera import Camera
-from startracker.distortion import Distortion, project_pinhole, undistort
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion, project_pinhole, undistort
 
 LENS = Distortion(k1=-0.1, k2=0.02, p1=1e-3, p2=-5e-4)
 

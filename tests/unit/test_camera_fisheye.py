@@ -7,10 +7,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from startracker.camera import Camera
-from startracker.distortion import Distortion
 from startracker.errors import InputError
-from startracker.fisheye import limit_rad
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
+from startracker.geometry.fisheye import limit_rad
 
 LENS = Distortion(k1=-0.03, k2=0.004, k3=-0.001, k4=1e-4)
 

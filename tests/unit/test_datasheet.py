@@ -18,7 +18,7 @@ from simulator.study.datasheet.performance import ACQUIRED, bracket, frames_to_a
 from simulator.study.datasheet.run import stages_of
 from simulator.study.datasheet.sheet import Estimate, Quantity, mean_of, proportion, rms_of, select, upper_limit
 from simulator.study.datasheet.tables import estimate_text
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 
 SCENARIO = Scenario.load("scenarios/sunsat.yaml")
 

@@ -20,8 +20,8 @@ from simulator.study.datasheet.scan import (
     scan_attitudes,
     scan_geometry,
 )
-from startracker.attitude import Attitude
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 
 GEOMETRY = scan_geometry(1024, 1024)
 FIELDS = 60

@@ -18,9 +18,9 @@ from scipy.special import erf
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.trials.trial import build_tracker, solve_frame
-from startracker.camera import Camera
 from startracker.centroid.result import Centroids
 from startracker.detection import METHODS, Background, estimate
+from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings
 from startracker.trails import Trails, find_trails, mid_exposure
 from startracker.trails.lines import best_lines

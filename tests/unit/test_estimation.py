@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.estimation import METHODS, pitch_error_deg, star_pair, wahba_svd
 from startracker.estimation.wahba import attitude_covariance
+from startracker.geometry.attitude import Attitude
 
 ARCSEC = np.pi / 648000
 

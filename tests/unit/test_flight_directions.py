@@ -13,10 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from simulator.randomness import stream
 from startracker import load_catalog
-from startracker.attitude import matrix_to_quat
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
-from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.flight.apparent import MOST_YEARS, FlightObserver, apparent, guide_motion
 from startracker.flight.directions import (
@@ -35,6 +32,9 @@ from startracker.flight.directions import (
     unit,
     vectors_of,
 )
+from startracker.geometry.attitude import matrix_to_quat
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 ONE = 1 << 30
 CAMERAS = {

@@ -13,13 +13,13 @@ from simulator.checks import load_scenario
 from simulator.cli.application import app
 from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import list_text, parse_answer, velocity_of
-from startracker.camera import Camera
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.flight.export import Part, assemble, flight_export, flight_parts
 from startracker.flight.solver import FlightTracker
 from startracker.flight.stars import StarList
 from startracker.flight.unit_scenes import SEED, field_of, scene_numbers, scene_rows, unit_scenes
+from startracker.geometry.camera import Camera
 
 ROOT = Path(__file__).parents[2]
 

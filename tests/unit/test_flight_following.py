@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from simulator.randomness import stream
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.errors import InputError
 from startracker.flight.directions import grid_arrays, grid_constants, grid_tables
 from startracker.flight.following import (
@@ -30,6 +28,8 @@ from startracker.flight.following import (
     following_constants,
     following_tables,
 )
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.tracking.mekf import GyroNoise, RateNoise
 from startracker.tracking.watched import WatchedFilter
 

@@ -13,10 +13,8 @@ from scipy.stats import chi2
 
 from simulator.randomness import stream
 from startracker import load_catalog
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.constants import SPEED_OF_LIGHT_KM_S
-from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.estimation.wahba import quest
 from startracker.fixed_point.c_table import CTable
@@ -24,6 +22,8 @@ from startracker.flight.apparent import FlightObserver
 from startracker.flight.directions import grid_arrays, grid_constants
 from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants, pose_tables, solve_pose
 from startracker.flight.stars import StarList
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 from startracker.observer import Observer
 from startracker.refine import Measured, refine
 

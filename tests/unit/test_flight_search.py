@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from benchmarks.flight_lists import FIELDS, null_list
 from simulator.randomness import stream
 from startracker import Camera, StarTracker
-from startracker.distortion import Distortion
 from startracker.errors import InputError
 from startracker.estimation.directions import focal_slopes, normal_equations
 from startracker.flight import search_tables as tabled
@@ -25,6 +24,7 @@ from startracker.flight.solver import SATURATED_PART, FlightTracker
 from startracker.flight.stars import StarList
 from startracker.flight.verifying import _log_determinant, _normal, field_at, matched, verify
 from startracker.flight.votes import MOST_VOTES, neighbours_of, separations, tolerance, vote_about
+from startracker.geometry.distortion import Distortion
 from startracker.identification import bayes_factor, clustering_null
 from startracker.identification.bayes_factor import Matched, count_table, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price, log_excess_density

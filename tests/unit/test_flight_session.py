@@ -8,13 +8,13 @@ from simulator.randomness import stream
 from simulator.study.exported_c.targets import HOST
 from simulator.study.flight.program import FlightProgram, list_text
 from startracker import load_catalog
-from startracker.camera import Camera
 from startracker.catalog.guide import GuideDatabase
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.following import BEGUN, COASTING, REJECTED, RESTARTED, TIME_BAD, USED, following_tables
 from startracker.flight.session import FlightSession
 from startracker.flight.solver import FlightTracker
 from startracker.flight.stars import StarList
+from startracker.geometry.camera import Camera
 from startracker.tracking.mekf import RateNoise
 
 ONE = 1 << 30

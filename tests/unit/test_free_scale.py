@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, InputError, Status, solve_unknown_fov
-from startracker.distortion import Distortion
+from startracker.geometry.distortion import Distortion
 from startracker.identification.free_scale import fit_camera
 from startracker.identification.quads import (
     QuadIndex,

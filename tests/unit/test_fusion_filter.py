@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from two_heads import ALONG_X, ALONG_Z, ARCSEC, HEADS, NOISE, SIGMA, error_of, fly, in_order, turned
 
-from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.fusion import FusionFilter, Head
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import Mekf, RateNoise
 
 TIMES = np.linspace(0.0, 12.0, 25)

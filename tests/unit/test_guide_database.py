@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from startracker.attitude import Attitude, radec_to_direction
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase, PairList, brightest_everywhere, close_pairs, field_of
 from startracker.catalog.stars import StarCatalog
-from startracker.distortion import Distortion
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, radec_to_direction
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 from startracker.observer import Observer, aberrate
 
 

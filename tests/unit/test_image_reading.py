@@ -9,7 +9,7 @@ from astropy.io import fits
 from PIL import Image
 
 from startracker import InputError, read_image
-from startracker.bayer import bayer_to_grey
+from startracker.images.bayer import bayer_to_grey
 
 RNG = np.random.default_rng(4)
 GREY8 = RNG.integers(0, 256, (7, 11)).astype(np.uint8)

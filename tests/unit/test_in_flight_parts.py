@@ -9,13 +9,13 @@ from lens_sequences import WIDE, lens, new_sky
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from startracker.attitude import Attitude
 from startracker.calibration import IdentifiedStars, InFlightCalibration, InFlightSettings, LensFilter, WidthFilter
 from startracker.calibration.psf_width import star_widths
-from startracker.camera import Camera
 from startracker.detection.defect_map import DefectMap
-from startracker.distortion import Distortion
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 from startracker.given_image import GivenImage
 from startracker.observer import Observer
 from startracker.settings import CentroidSettings

@@ -10,10 +10,10 @@ from simulator.study.exported_c.targets import HOST, M68K, Target
 from simulator.theses.yee1999 import SECTIONS
 from simulator.theses.yee1999.integer_build import attitude_differences
 from startracker import Camera
-from startracker.attitude import Attitude
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 from startracker.identification import METHODS, Observed
 from startracker.integer_export import CExport
 from startracker.solution import Status

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.estimation.wahba import fit_rotation
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification import METHODS, Observed, Prior, match_groups
 from startracker.identification.match_kernels import (
     Groups,

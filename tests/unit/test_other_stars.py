@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.directions import focal_slopes
+from startracker.geometry.camera import Camera
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.occupancy import NO_OCCUPANCY, is_occupied, occupancy_map
 from startracker.identification.other_stars import enough_matches, other_stars, room

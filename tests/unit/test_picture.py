@@ -7,8 +7,8 @@ import pytest
 from matplotlib import rc_context
 from PIL import Image
 
-from startracker.picture import FORMATS, pixel_bytes, rgb_pixels, stretch
-from startracker.star_colours import rgb_of_b_v, star_tint, tinted
+from startracker.images.picture import FORMATS, pixel_bytes, rgb_pixels, stretch
+from startracker.images.star_colours import rgb_of_b_v, star_tint, tinted
 
 RNG = np.random.default_rng(1)
 SKY = RNG.normal(50.0, 3.0, (480, 640))

@@ -15,8 +15,8 @@ from simulator.renderer import Renderer
 from simulator.scenario.errors import ScenarioError
 from simulator.study.coverage.boresights import along_path
 from simulator.study.sequence.frames import SequenceRunner
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 ORBIT = build_trajectory(OrbitParameters(), EPOCH)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import hypergeom
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.directions import focal_slopes
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification.adaptive import nearest_stars
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.candidate_search import Effort, Verifier

@@ -9,7 +9,7 @@ from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.estimation import pose
 from startracker.estimation.pose import Linearised, displacements, few_stars_factor, fit_pose
-from startracker.image_map import pixel_slopes
+from startracker.geometry.image_map import pixel_slopes
 from startracker.observer import Observer, aberrate, unknown_aberration
 from startracker.solution import MatchedStars
 

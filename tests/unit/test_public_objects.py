@@ -291,7 +291,7 @@ def test_a_solution_as_coordinates_of_astropy(exposure, solution):
     catalog = load_catalog("hipparcos")
     row = {int(number): k for k, number in enumerate(catalog.id)}
     chosen = [row[int(number)] for number in solution.stars.catalog_id[:5]]
-    truth_deg = startracker.attitude.direction_to_radec(
+    truth_deg = startracker.geometry.attitude.direction_to_radec(
         catalog.directions(frame.observer.epoch_jyear, frame.observer.position_au)[chosen]
     )
     assert coordinates(np.degrees(truth_deg).T).separation(by_wcs).arcsec.max() < 5.0

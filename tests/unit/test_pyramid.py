@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification.observed import Observed, Prior
 from startracker.identification.pyramid import pyramid, smart_triples
 from startracker.settings import PyramidSettings

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.detection.bad_pixels import BadPixelCount
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
 from startracker.tracking.operation import SensorOperation, image_magnitudes, saturated_near

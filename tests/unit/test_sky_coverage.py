@@ -17,13 +17,13 @@ from simulator.study.coverage.field_counts import accumulate_information, circle
 from simulator.study.coverage.maps import coverage_figures
 from simulator.study.coverage.survey import count_stars, coverage
 from simulator.study.result_files import write_study
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import field_of
 from startracker.catalog.voxels import voxel_grid
-from startracker.distortion import Distortion
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 CAMERAS = {
     "narrow": Camera.from_fov(6.0, 512, 512),

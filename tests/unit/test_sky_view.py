@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from startracker.camera import Camera
 from startracker.catalog.field_shape import field_shape, in_shape
 from startracker.catalog.voxels import star_within, stars_in_cone, voxel_grid
-from startracker.distortion import Distortion
+from startracker.geometry.camera import Camera
+from startracker.geometry.distortion import Distortion
 
 CAMERAS = {
     "narrow": Camera.from_fov(3.0, 512, 512),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, InputError, Observer, Solution, Status
-from startracker.distortion import Distortion
+from startracker.geometry.distortion import Distortion
 from startracker.solution import MatchedStars
 
 CAMERAS = {

@@ -13,7 +13,7 @@ from simulator.study.specification.measured import Measured, Setting, setting_of
 from simulator.study.specification.predicted import Predicted, across_percentile, axis_percentile
 from simulator.study.specification.requirements import Requirement, Specification, specification_of
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Estimate, Verdict, frames_needed, judge
-from startracker.attitude import radec_to_direction
+from startracker.geometry.attitude import radec_to_direction
 
 ARCSEC = 1 / 3600
 AXES = ("roll", "pitch", "yaw", "cross_x", "cross_y", "about_boresight")

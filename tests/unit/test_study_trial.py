@@ -26,7 +26,7 @@ from simulator.study.trials.trial import (
     solve_frame,
     systematic_turn_deg,
 )
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.solution import Status
 
 SMALL = ("detector.width=256", "detector.height=256", "optics.focal_length_mm=12", "optics.aperture_mm=8.5")

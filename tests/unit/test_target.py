@@ -7,7 +7,7 @@ from simulator import Renderer, Scenario
 from simulator.mission.parameters import PointingParameters
 from simulator.sky.target import attitude_towards, find_target
 from startracker import InputError, load_catalog
-from startracker.attitude import radec_to_direction
+from startracker.geometry.attitude import radec_to_direction
 
 
 def test_names_of_stars_and_bodies():

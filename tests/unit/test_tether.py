@@ -7,7 +7,7 @@ from simulator.build import build_camera
 from simulator.optics.tether import Tether, cylinder_share, tether_points
 from simulator.renderer import render
 from simulator.scenario import Scenario, ScenarioError
-from startracker.camera import Camera
+from startracker.geometry.camera import Camera
 
 CAMERA = Camera(fx=1110.0, fy=1110.0, cx=255.5, cy=239.5, width=512, height=480)
 

@@ -11,7 +11,7 @@ from simulator.renderer import Renderer
 from simulator.study.datasheet.dependence import _mounting
 from simulator.study.sequence.run import run_sequence
 from simulator.study.trials.trial import TrialRunner, attitude_errors_deg
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 
 ARCSEC = math.pi / 648000.0
 AMPLITUDE, PHASE = (30.0, -20.0, 50.0), (0.0, 40.0, 120.0)

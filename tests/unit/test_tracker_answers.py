@@ -9,7 +9,7 @@ import pytest
 
 import startracker
 from startracker import Attitude, Camera, InputError, Observer, StarTracker, Status
-from startracker.distortion import Distortion
+from startracker.geometry.distortion import Distortion
 from startracker.observer import aberrate
 
 CAMERA = Camera.from_fov(10.0, 512, 512)

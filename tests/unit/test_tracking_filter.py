@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from star_sequences import turned
 
-from startracker.attitude import Attitude
 from startracker.errors import InputError
 from startracker.estimation import wahba_svd
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, Mekf, RateNoise
 from startracker.tracking.mekf import chi_square_limit
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import log_chance
 from startracker.observer import Observer
 from startracker.tracker import StarTracker

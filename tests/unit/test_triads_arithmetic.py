@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification.arithmetic import FloatArithmetic
 
 PLAIN, EXACT = FloatArithmetic(), FloatArithmetic(exact=True)

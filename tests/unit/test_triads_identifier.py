@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification import METHODS
 from startracker.identification.observed import Observed, Prior
 from startracker.identification.triads import triads

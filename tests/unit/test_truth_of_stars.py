@@ -7,8 +7,8 @@ import pytest
 
 from simulator import Renderer, Scenario
 from simulator.fits import write_fits
-from startracker.attitude import Attitude, radec_to_direction
 from startracker.catalog import load_catalog, merge_doubles
+from startracker.geometry.attitude import Attitude, radec_to_direction
 
 QUIET = ["sky.earth=false", "pointing.error_deg=0", "detector.width=256", "detector.height=256"]
 

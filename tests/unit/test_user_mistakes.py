@@ -13,8 +13,8 @@ from simulator.checks import load_scenario
 from simulator.cli import main
 from simulator.scenario.errors import ScenarioError
 from startracker import Camera, InputError
-from startracker.distortion import Distortion
-from startracker.image import read_image
+from startracker.geometry.distortion import Distortion
+from startracker.images.reading import read_image
 
 
 @pytest.fixture

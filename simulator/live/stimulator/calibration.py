@@ -21,11 +21,11 @@ from simulator.live.stimulator.photometry_fit import Exposures, PhotometryFit, f
 from simulator.live.stimulator.picture import Stimulator
 from startracker._version import __version__
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.calibration.camera_file import rounded
-from startracker.camera import Camera
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)

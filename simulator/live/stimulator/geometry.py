@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
-from startracker.camera import Camera
 from startracker.errors import InputError
+from startracker.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from simulator.live.stimulator.geometry import DisplayGeometry, with_parity
 from simulator.live.stimulator.patterns import Pattern
 from simulator.live.stimulator.photographs import Dots, Photograph
 from startracker.arrays import FloatArray
-from startracker.attitude import rotation_vector_to_matrix
 from startracker.constants import ARCSEC_RAD
-from startracker.distortion import Distortion
 from startracker.errors import InputError
+from startracker.geometry.attitude import rotation_vector_to_matrix
+from startracker.geometry.distortion import Distortion
 from startracker.lens import prior_of
 from startracker.lens_fit import noise_floor
 

@@ -11,11 +11,11 @@ from scipy.spatial import cKDTree
 
 from simulator.live.stimulator.patterns import MARKERS, Pattern
 from startracker.arrays import FloatArray, IntArray
-from startracker.camera import Camera
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
 from startracker.errors import InputError
 from startracker.front_end import Clock, find_stars
+from startracker.geometry.camera import Camera
 from startracker.given_image import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings
 

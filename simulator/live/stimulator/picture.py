@@ -16,9 +16,9 @@ from simulator.live.stimulator.geometry import DisplayGeometry
 from simulator.live.stimulator.photometry import DITHERING, Photometry
 from simulator.scene import Scene
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 
 FAINT_MAG = 0.1
 """A star whose displayed brightness is further from the one wanted is counted as too faint, or as clipped."""

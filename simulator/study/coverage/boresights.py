@@ -24,9 +24,9 @@ from simulator.scenario.fields import all_keys
 from simulator.scene import GivenState
 from simulator.study.body_angles import angle_from_deg
 from startracker.arrays import BoolArray, FloatArray
-from startracker.attitude import Attitude, direction_to_radec
 from startracker.display import fields_repr
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, direction_to_radec
 
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 _PLASTIC = 0.754_877_666_246_692_8

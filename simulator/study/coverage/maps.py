@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
 from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
 from startracker.arrays import FloatArray
-from startracker.attitude import direction_to_radec, radec_to_direction
+from startracker.geometry.attitude import direction_to_radec, radec_to_direction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

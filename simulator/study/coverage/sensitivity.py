@@ -33,10 +33,10 @@ from simulator.study.trials.bounds import (
     pixel_variance_e2,
 )
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.display import fields_repr
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 
 _POSITIONS = 16
 """Number of field positions, with different sub-pixel phases, over which images and bounds are averaged."""

@@ -32,7 +32,7 @@ from simulator.study.trials.trial import (
     solve_frame,
 )
 from startracker.arrays import Columns, FloatArray
-from startracker.attitude import Attitude, direction_to_radec
+from startracker.geometry.attitude import Attitude, direction_to_radec
 from startracker.solution import Solution
 
 BORDER_PX = 3.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 
 STEP_PX = (1.184, 0.294)
 """Motion of the stars per frame along columns and rows, pixels. Of the harmonics of the pixel period, which such steps

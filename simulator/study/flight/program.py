@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from simulator.study.exported_c.build import Build, compile_export
 from simulator.study.exported_c.targets import HOST, Target
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import flight_export
 from startracker.flight.pose import COVARIANCE_BITS
 from startracker.flight.stars import StarList
+from startracker.geometry.attitude import Attitude
 
 _ONE = 1 << 30
 

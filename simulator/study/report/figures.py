@@ -15,7 +15,7 @@ from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
 from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES, Binned, error_against
 from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel
-from startracker.attitude import direction_to_radec
+from startracker.geometry.attitude import direction_to_radec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

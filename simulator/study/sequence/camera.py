@@ -37,8 +37,8 @@ from simulator.study.trials.trial import (
     normalised_error_squared,
 )
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.display import fields_repr
+from startracker.geometry.attitude import Attitude
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession

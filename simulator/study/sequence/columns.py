@@ -15,7 +15,7 @@ from simulator.study.statistics import AXES, CAMERA_AXES, WRONG_NEES, beyond_spe
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from simulator.study.trials.trial import attitude_columns, attitude_errors_deg, explained_deg, mounting_columns
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
+from startracker.geometry.attitude import Attitude
 from startracker.solution import Solution
 
 NO_FRAME = "no_frame"

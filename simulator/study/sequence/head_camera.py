@@ -19,9 +19,9 @@ from simulator.study.sequence.columns import NO_FRAME, camera_error_deg, error_c
 from simulator.study.specification.requirements import specification_of
 from simulator.study.trials.trial import build_tracker, in_field, misidentified
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import Head
+from startracker.geometry.attitude import Attitude
 from startracker.solution import Solution
 
 

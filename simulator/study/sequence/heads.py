@@ -22,9 +22,9 @@ from simulator.study.sequence.true_motion import jitter_at, process_noise, start
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import WRONG_NEES
 from startracker.arrays import FloatArray
-from startracker.attitude import Attitude
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import AlignedMekf, FusionFilter
+from startracker.geometry.attitude import Attitude
 from startracker.kernels import clock
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status

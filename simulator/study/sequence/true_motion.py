@@ -19,8 +19,8 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.schema import SequenceSection
 from simulator.scene import SceneBuilder
-from startracker.attitude import Attitude
 from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, RateNoise
 
 RECORDED_COLUMNS = (*QUATERNION_COLUMNS, "rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")

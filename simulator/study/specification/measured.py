@@ -24,7 +24,7 @@ from simulator.study.specification.requirements import (
 )
 from simulator.study.specification.verdicts import Estimate, Judgement, judge
 from startracker.arrays import BoolArray, FloatArray
-from startracker.attitude import radec_to_direction
+from startracker.geometry.attitude import radec_to_direction
 
 Columns = Mapping[str, NDArray[Any]]
 

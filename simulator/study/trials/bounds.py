@@ -25,8 +25,8 @@ from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
 from startracker.arrays import BoolArray, FloatArray, IntArray
-from startracker.camera import Camera
-from startracker.image_map import pixel_slopes as slopes_of_pixels
+from startracker.geometry.camera import Camera
+from startracker.geometry.image_map import pixel_slopes as slopes_of_pixels
 from startracker.kernels import kernel
 
 SAME_STAR_PX = 3.0

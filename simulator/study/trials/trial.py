@@ -18,10 +18,10 @@ from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources, pixel_slopes
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from simulator.study.trials.stopping import no_interrupt_for_children
-from startracker.attitude import Attitude
 from startracker.errors import BoresightError
+from startracker.geometry.attitude import Attitude
 from startracker.kernels import is_compiled
 
 if TYPE_CHECKING:

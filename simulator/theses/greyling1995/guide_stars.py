@@ -11,9 +11,9 @@ from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from startracker.arrays import IntArray
-from startracker.attitude import radec_to_direction
 from startracker.catalog import StarCatalog, load_catalog
 from startracker.catalog.guide import RESOLVED_PX
+from startracker.geometry.attitude import radec_to_direction
 
 BORESIGHT_DEC_DEG = 8.6
 FIELD_DEG, SIDE_PX = 10.0, 512

@@ -22,8 +22,8 @@ from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from startracker.arrays import FloatArray
-from startracker.attitude import direction_to_radec
 from startracker.catalog import load_catalog
+from startracker.geometry.attitude import direction_to_radec
 
 EQUINOX = datetime(1995, 3, 21, 2, 14, tzinfo=UTC)
 """Vernal equinox of 1995, for which Table 3.2 gives the node."""

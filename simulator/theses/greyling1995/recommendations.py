@@ -21,14 +21,14 @@ from simulator.theses.greyling1995.star_images import star_stamps
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from startracker.arrays import FloatArray, IntArray
-from startracker.attitude import Attitude
-from startracker.camera import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.centroid import Centroids
 from startracker.detection import Background, Spots, estimate, find_round_regions
 from startracker.estimation import METHODS as ESTIMATORS
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.identification import match_groups
 from startracker.identification.observed import Identification, Observed, as_prior
 from startracker.settings import CentroidSettings

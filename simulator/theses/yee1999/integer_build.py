@@ -26,13 +26,13 @@ from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.integers import fixed_centroids
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Picture, vega
 from startracker.arrays import FloatArray
-from startracker.attitude import radec_to_direction
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.attitude import IntegerAttitude, NotSolved, plate_attitude
 from startracker.fixed_point.centroid import running_centroid
 from startracker.fixed_point.formats import CENTROID, Integers
 from startracker.fixed_point.tables import enclosed_table
+from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.integer_solution import (
     MAX_GROUPS,
     MAX_STARS,

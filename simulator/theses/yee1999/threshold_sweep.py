@@ -25,8 +25,8 @@ from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, Options, analyse
 from simulator.theses.yee1999.rendered import Shown, limits_of, off_deg, show, tracker_off_deg
-from startracker.attitude import Attitude
-from startracker.camera import Camera
+from startracker.geometry.attitude import Attitude
+from startracker.geometry.camera import Camera
 from startracker.tracker import StarTracker
 
 if TYPE_CHECKING:

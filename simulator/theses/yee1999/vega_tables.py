@@ -14,7 +14,7 @@ from simulator.theses.printed import Row, Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import Analysis, Options, analyse, deneb, sadr, vega
-from startracker.attitude import radec_to_direction
+from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_votes import COMBINED_ID, combine_separation, match_triads
 

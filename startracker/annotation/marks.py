@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.annotate_labels import Label, Labels
-from startracker.annotate_sky import grid_lines, polyline
+from startracker.annotation.labels import Label, Labels
+from startracker.annotation.sky import grid_lines, polyline
 from startracker.arrays import FloatArray
 from startracker.bodies import body_directions
 from startracker.catalog.deep_sky import deep_sky_directions, deep_sky_objects

@@ -1,8 +1,8 @@
 """A solved image as a picture: stars by name, deep-sky objects, planets, constellations, grid, compass, scale.
 
-The image is shown as a camera shows the sky (`startracker.picture.stretch`), a colour image in its colours. The colours
-of the marks are those of Okabe & Ito (2008), which colour-blind readers can distinguish, some lightened; the symbols
-differ as well. Sizes are fractions of the picture's size. Matplotlib is imported when the first picture is drawn.
+The image is shown as a camera shows the sky (`startracker.images.picture.stretch`), a colour image in its colours. The
+colours of the marks are those of Okabe & Ito (2008), which colour-blind readers can distinguish, some lightened; the
+symbols differ as well. Sizes are fractions of the picture's size. Matplotlib is imported with the first picture.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker import annotate_marks as marks
-from startracker.annotate_labels import Labels
-from startracker.annotate_sky import compass_arrows, field_text, nice_step
+from startracker.annotation import marks
+from startracker.annotation.labels import Labels
+from startracker.annotation.sky import compass_arrows, field_text, nice_step
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.images.picture import figure_bytes, stretch
+from startracker.images.star_colours import tinted
 from startracker.observer import Observer
-from startracker.picture import figure_bytes, stretch
 from startracker.solution import Solution
-from startracker.star_colours import tinted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,7 @@ _MOST_ENTRIES = 6
 
 
 def annotated_picture(image: NDArray[Any], solution: Solution, form: str = "png", **options: Any) -> bytes:
-    """File of the figure of `annotate` in one of `startracker.picture.FORMATS`, as bytes; deterministic."""
+    """File of the figure of `annotate` in one of `startracker.images.picture.FORMATS`, as bytes; deterministic."""
     figure = annotate(image, solution, **options)
     fast = {"pil_kwargs": {"compress_level": 3}} if form == "png" else {}
     return figure_bytes(figure, form, facecolor=_BACKGROUND, **fast)

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.bayer import bayer_to_grey
 from startracker.display import described, html_card
 from startracker.errors import InputError
-from startracker.picture import photograph
+from startracker.images.bayer import bayer_to_grey
+from startracker.images.picture import photograph
 
 _FITS_SUFFIXES = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
 _MOST_PIXELS = 400_000_000
@@ -93,7 +93,7 @@ def read_image(
         FITS, PNG, TIFF, JPEG or another format that Pillow reads.
     bayer : str, optional
         The file holds a raw Bayer mosaic of this pattern (RGGB, BGGR, GRBG, GBRG), which is converted to grey
-        (`startracker.bayer.bayer_to_grey`).
+        (`startracker.images.bayer.bayer_to_grey`).
     upright : bool
         Apply the EXIF orientation, as viewers do; pixel coordinates are those of the upright picture. False keeps the
         rows and columns of the sensor, to which a calibrated camera or a bad-pixel map refers; a raw mosaic always

@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.arrays import FloatArray
 from startracker.display import described
-from startracker.distortion import Distortion
 from startracker.errors import InputError
-from startracker.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
-from startracker.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
+from startracker.geometry.distortion import Distortion
+from startracker.geometry.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
+from startracker.geometry.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
 from startracker.interop import plain
 
 
@@ -41,7 +41,7 @@ class Camera:
         Size in pixels; if omitted, the principal point is taken as the image centre.
     distortion : Distortion or mapping
         Coefficients with OpenCV's names: Brown–Conrady on normalised coordinates for a pinhole, k1 to k4 of the powers
-        of the angle for a fisheye (`startracker.fisheye`).
+        of the angle for a fisheye (`startracker.geometry.fisheye`).
     parity : int
         +1 for a direct image (east to the left of north), −1 for an image mirrored by the optics or the readout: its
         columns are reversed before anything else.

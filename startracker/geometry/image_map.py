@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.distortion import project_pinhole, unproject_pinhole
-from startracker.fisheye import fisheye_project, fisheye_unproject
+from startracker.geometry.distortion import project_pinhole, unproject_pinhole
+from startracker.geometry.fisheye import fisheye_project, fisheye_unproject
 from startracker.kernels import kernel
 
 ImageMap = NDArray[np.float64]

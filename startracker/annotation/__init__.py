@@ -1,0 +1,1 @@
+"""A solved image as an annotated picture."""

@@ -1,0 +1,1 @@
+"""Attitude, camera and lens: rotations between frames, pixel ↔ unit vector, linear algebra of a few unknowns."""
