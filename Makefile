@@ -1,6 +1,6 @@
 # make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
 # make test   the tests, in the same environment
-# make test-system    those of C compilers, a browser, notebooks, a cluster and whole studies
+# make test-system    those of C compilers, a browser, servers, notebooks, a cluster and whole studies
 # make test-lowest    smoke tests with the lowest versions of the dependencies that pyproject.toml allows
 # make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it

@@ -8,6 +8,8 @@ import pytest
 from simulator import Scenario
 from simulator.renderer import Renderer
 
+pytestmark = pytest.mark.system
+
 GALLERY = Path(__file__).resolve().parents[2] / "scenarios" / "gallery"
 
 

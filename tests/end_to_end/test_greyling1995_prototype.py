@@ -17,6 +17,8 @@ from simulator.theses.greyling1995.converter import (
 )
 from simulator.theses.greyling1995.prototype import defocus_radii_um, limits_of_brightness
 
+pytestmark = pytest.mark.system
+
 
 @pytest.fixture(scope="module")
 def section():

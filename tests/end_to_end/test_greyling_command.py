@@ -7,6 +7,8 @@ import pytest
 from simulator.cli import _run
 from simulator.theses import greyling1995
 
+pytestmark = pytest.mark.system
+
 
 @pytest.mark.parametrize("name", ["path", "photometry"])
 def test_one_section_prints_its_table_and_leaves_its_files(name, tmp_path, capsys):

@@ -16,6 +16,8 @@ from simulator.study.sequence.run import run_sequence
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 
+pytestmark = pytest.mark.system
+
 GYRO = "sequence.gyro={use: true, angle_random_walk_deg_sqrt_h: 0.01, bias_deg_h: 5, scale_factor_ppm: 300}"
 A = "name: a, mounting: orbit_normal"
 B = "name: b, mounting: zenith, alignment_sigma_arcsec: 60, optics: {focal_length_mm: 14}, detector: {exposure_s: 0.05}"

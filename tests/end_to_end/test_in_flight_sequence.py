@@ -12,6 +12,8 @@ from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.trial import build_tracker
 from startracker.tracking import TrackingSession
 
+pytestmark = pytest.mark.system
+
 FRAMES = 70
 
 

@@ -16,6 +16,8 @@ from simulator.live.security import Access, TokenBucket
 from simulator.live.server import LiveServer, ServerOptions
 from startracker.errors import InputError
 
+pytestmark = pytest.mark.system
+
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):

@@ -23,6 +23,8 @@ from simulator.live.server import ServerOptions, serving
 from simulator.scenario import Scenario
 from startracker import Attitude
 
+pytestmark = pytest.mark.system
+
 EXAMPLES = Path(__file__).parents[2] / "examples" / "live"
 Camera = runpy.run_path(str(EXAMPLES / "client.py"))["Camera"]
 SCENARIO = Scenario.load(EXAMPLES / "hold.yaml")

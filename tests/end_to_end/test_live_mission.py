@@ -14,6 +14,8 @@ from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from startracker.errors import BoresightError, InputError
 
+pytestmark = pytest.mark.system
+
 MOVING = (
     "pointing.jitter.rms_arcsec=[3,3,3]",
     "pointing.rate_deg_s=[0.02,0.01,0.03]",

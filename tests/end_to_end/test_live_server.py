@@ -21,6 +21,8 @@ from simulator.study.sequence.frames import SequenceRunner
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 
+pytestmark = pytest.mark.system
+
 CLIENT = Path(__file__).parents[2] / "examples/live/client.py"
 
 

@@ -11,6 +11,8 @@ from startracker.catalog import load_catalog
 from startracker.detection import estimate, find_clusters
 from startracker.settings import DetectionSettings
 
+pytestmark = pytest.mark.system
+
 
 def test_vega_from_pixels_to_the_centre():
     scenario = Scenario.load("xybion")

@@ -1,8 +1,12 @@
 """Satellites across the field: frames are solved from the stars, by the benchmark's frames and by a sequence."""
 
+import pytest
+
 from benchmarks.satellites import outcomes
 from simulator.scenario import Scenario
 from simulator.study.sequence.run import run_sequence
+
+pytestmark = pytest.mark.system
 
 
 def test_ten_satellites_do_not_hide_the_stars():

@@ -16,6 +16,8 @@ from simulator.study.sequence.run import run_sequence
 from startracker.errors import BoresightError, InputError
 from startracker.geometry.attitude import Attitude
 
+pytestmark = pytest.mark.system
+
 SMALL = [
     "detector.width=384",
     "detector.height=384",

@@ -10,6 +10,8 @@ from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.run import run_sequence
 from startracker.errors import InputError
 
+pytestmark = pytest.mark.system
+
 OVERRIDES = [
     "sequence.step_s=2",
     "sequence.frames=112",

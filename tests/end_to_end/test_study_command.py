@@ -9,6 +9,8 @@ from simulator.cli.study_command import STUDIES
 from simulator.study.budget.effects import EFFECTS
 from simulator.study.trials.trial import TrialRunner
 
+pytestmark = pytest.mark.system
+
 SMALL = ["--set", "detector.width=256", "--set", "detector.height=256"]
 
 

@@ -11,6 +11,8 @@ import pytest
 from simulator.cli import _run
 from simulator.cli.sweep_command import SweepProgress
 
+pytestmark = pytest.mark.system
+
 
 @pytest.mark.usefixtures("no_drawing")
 def test_sweep_refuses_reports_and_compares(tmp_path, monkeypatch, capsys):

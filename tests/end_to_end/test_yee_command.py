@@ -9,6 +9,8 @@ import pytest
 from simulator.cli import _run
 from simulator.theses.yee1999.picture import analyse, vega
 
+pytestmark = pytest.mark.system
+
 CAMERA = ["--size", "427x319", "--fov", "9.0130x6.9049"]
 
 

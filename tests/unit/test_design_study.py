@@ -106,6 +106,7 @@ def test_no_value_in_the_range_is_an_answer_too(scenario, tmp_path):
         verify(scenario, none, 5)
 
 
+@pytest.mark.system
 def test_a_run_of_the_answer_stands_beside_its_prediction(scenario):
     found = design(scenario, Trade("optics.aperture_mm", 5.0, 6.0, steps=2, count=300, least_availability=0.5))
     checked = verify(scenario, found, 24)

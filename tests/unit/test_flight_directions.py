@@ -118,7 +118,7 @@ def test_proper_motion_beside_erfa():
     guide = GuideDatabase.build(load_catalog("hipparcos"), CAMERAS["pinhole"], 6.5)
     start = np.rint(guide.directions * ONE).astype(np.int64)
     ra, dec = np.arctan2(*guide.directions.T[1::-1]), np.arcsin(guide.directions[:, 2])
-    motion = guide.motion
+    motion = guide.motion_axes.T
     east = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)])
     north = np.cross(guide.directions, east)
     rates = [(motion * axis).sum(axis=1) for axis in (east, north)]
