@@ -70,7 +70,7 @@ def brightness(page, name="frame"):
 def blinded(page):
     page.click("#blind")
     says(page, "^Blinded")
-    expect(page.locator("#blind")).to_have_attribute("aria-pressed", "true")  # by the state, some frames later
+    expect(page.locator("#blind")).to_have_attribute("aria-pressed", "true", timeout=WAIT_MS)  # some frames later
     try:
         yield
     finally:
@@ -82,7 +82,7 @@ def blinded(page):
 def test_longer_exposure_makes_a_brighter_frame(visit):
     page = visit.page
     slider = page.get_by_role("slider", name="Exposure")
-    before_s = visit.messages("frame")[-1]["exposure_s"]
+    before_s = visit.latest("frame")["exposure_s"]
     page.click("#hold")
     page.wait_for_timeout(500)
     before = brightness(page)
@@ -92,7 +92,7 @@ def test_longer_exposure_makes_a_brighter_frame(visit):
     until(page, SETTLED)
     page.wait_for_timeout(1000)
     asked_s = float(page.locator('[data-path="detector.exposure_s"] input[type=number]').input_value())
-    assert visit.messages("frame")[-1]["exposure_s"] == asked_s > 5 * before_s
+    assert visit.latest("frame")["exposure_s"] == asked_s > 5 * before_s
     held = brightness(page)
     assert held > before + 20
     page.click("#hold")
@@ -142,26 +142,29 @@ def test_pause_step_and_speed(visit):
     page.click("#pause")
     says(page, "paused")
     page.wait_for_timeout(400)
-    index = visit.messages("frame")[-1]["index"]
+    index = visit.latest("frame")["index"]
     page.click("#step")
     page.wait_for_timeout(1500)
-    assert visit.messages("frame")[-1]["index"] == index + 1
+    assert visit.latest("frame")["index"] == index + 1
     page.click("#pause")
     page.select_option("#speed", "2")
     page.wait_for_timeout(1000)
-    assert visit.messages("state")[-1]["speed"] == 2
+    assert visit.latest("state")["speed"] == 2
     page.select_option("#speed", "1")
 
 
 def test_kick_turns_the_camera(visit):
     page = visit.page
-    before = np.linalg.norm(visit.messages("truth")[-1]["rate_deg_s"])
+    before = np.linalg.norm(visit.latest("truth")["rate_deg_s"])
     page.fill("#kick-rate", "0.4")
     page.select_option("#kick-axis", "1")
     page.click("#kick")
-    page.wait_for_timeout(1500)
-    after = np.linalg.norm(visit.messages("truth")[-1]["rate_deg_s"])
-    assert abs(after - before) > 0.2
+    for _ in range(WAIT_MS // 50):
+        if abs(np.linalg.norm(visit.latest("truth")["rate_deg_s"]) - before) > 0.2:
+            break
+        page.wait_for_timeout(50)
+    else:
+        pytest.fail("the rate did not change")
     page.click("#reset")
 
 
@@ -249,6 +252,7 @@ def test_keyboard_alone(visit):
     page.keyboard.press("Escape")
     page.keyboard.press("b")
     says(page, "^Blinded")
+    expect(page.locator("#blind")).to_have_attribute("aria-pressed", "true", timeout=WAIT_MS)  # else "b" blinds again
     page.keyboard.press("b")
     says(page, "^(Tracking|Solved)")
 

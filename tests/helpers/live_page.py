@@ -78,6 +78,14 @@ class Visit:
         """Messages of a type received so far."""
         return [message for message in self.received if message["type"] == kind]
 
+    def latest(self, kind):
+        """The latest message of a type; waits for the first one."""
+        for _ in range(WAIT_MS // 50):
+            if found := self.messages(kind):
+                return found[-1]
+            self.page.wait_for_timeout(50)
+        return pytest.fail(f"no {kind} within {WAIT_MS / 1000:g} s")
+
     def close(self):
         """End the visit; nothing may have gone wrong."""
         self.context.close()

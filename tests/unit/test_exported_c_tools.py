@@ -11,6 +11,8 @@ from simulator.study.exported_c.targets import CORTEX_M4, EMULATED, HOST, M68K, 
 from startracker.errors import InputError
 from startracker.integer_export import CExport
 
+pytestmark = pytest.mark.system
+
 needs_gcc = pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine")
 
 CHAIN = """

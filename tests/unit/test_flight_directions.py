@@ -36,6 +36,8 @@ from startracker.geometry.attitude import matrix_to_quat
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
 
+pytestmark = pytest.mark.system
+
 ONE = 1 << 30
 CAMERAS = {
     "pinhole": Camera(4870.0, 4860.0, 515.0, 508.0, 1024, 1024),

@@ -21,6 +21,8 @@ from startracker.flight.stars import StarList
 from startracker.flight.unit_scenes import SEED, field_of, scene_numbers, scene_rows, unit_scenes
 from startracker.geometry.camera import Camera
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -33,6 +33,8 @@ from startracker.geometry.camera import Camera
 from startracker.tracking.mekf import GyroNoise, RateNoise
 from startracker.tracking.watched import WatchedFilter
 
+pytestmark = pytest.mark.system
+
 ONE = 1 << 30
 SIGMA = np.array([1.5, 1.5, 15.0]) / 206265.0  # of an attitude about the camera's axes
 NOISE = RateNoise(acceleration=1e-5)

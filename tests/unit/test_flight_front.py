@@ -14,7 +14,7 @@ from startracker.flight.front_end import front_tables, measure_frame
 from tests.helpers.flight_c import SANITIZED
 from tests.helpers.flight_front import CompiledFront, assert_same
 
-pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
+pytestmark = [pytest.mark.system, pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")]
 CAREFUL = (*SANITIZED, "-fsanitize=bounds-strict", "-O1")
 BUILDS = {"plain": ((192, 165), ()), "sanitized": ((100, 70), CAREFUL), "smallest": ((16, 16), CAREFUL)}
 """Columns and rows, that of the TC211 and others, and options of the compiler."""

@@ -27,6 +27,8 @@ from startracker.geometry.distortion import Distortion
 from startracker.observer import Observer
 from startracker.refine import Measured, refine
 
+pytestmark = pytest.mark.system
+
 ONE = 1 << 30
 CAMERA = Camera(4870.0, 4865.0, 515.0, 508.0, 1024, 1024, Distortion(k1=-0.15, p1=1e-4))
 MAX_STARS = 60

@@ -12,6 +12,8 @@ from simulator.randomness import stream
 from startracker.flight.real import Real as Number
 from startracker.flight.real import arctangent, log2, power_of_2
 
+pytestmark = pytest.mark.system
+
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
 BINARY = {"add": "__add__", "times": "__mul__", "over": "__truediv__"}
 UNARY = {"real_root": Number.root, "log2": log2, "power_of_2": power_of_2}

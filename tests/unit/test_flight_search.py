@@ -35,6 +35,8 @@ from startracker.solution import Status
 from startracker.survey import SATURATED_SHARE
 from tests.helpers.flight_lists import random_fields, seen_by
 
+pytestmark = pytest.mark.system
+
 ONE = 1 << 30
 REST = FlightObserver(np.zeros(3, np.int64))
 

@@ -17,6 +17,8 @@ from startracker.flight.stars import StarList
 from startracker.geometry.camera import Camera
 from startracker.tracking.mekf import RateNoise
 
+pytestmark = pytest.mark.system
+
 ONE = 1 << 30
 CAMERA = Camera.from_fov(12.0, 1024, 1024)
 STEP_S, SIGMA_PX = 0.2, 0.1

@@ -6,6 +6,8 @@ import pytest
 from startracker.errors import InputError
 from startracker.flight.stars import SATURATED, StarList
 
+pytestmark = pytest.mark.system
+
 
 def test_round_trip_within_half_a_unit():
     rng = np.random.default_rng(4)

@@ -25,6 +25,8 @@ from startracker.settings import TriadSettings
 from startracker.solution import Status
 from tests.helpers.flight_lists import random_fields, seen_by
 
+pytestmark = pytest.mark.system
+
 ONE = 1 << 30
 REST = FlightObserver(np.zeros(3, np.int64))
 

@@ -18,6 +18,8 @@ from startracker.identification import METHODS, Observed
 from startracker.integer_export import CExport
 from startracker.solution import Status
 
+pytestmark = pytest.mark.system
+
 CAMERA = Camera.from_fov(12.0, 512, 512)
 
 

@@ -13,6 +13,8 @@ from simulator.theses.yee1999.integers import fixed_centroids, star_pixels
 from simulator.theses.yee1999.picture import deneb
 from simulator.theses.yee1999.run_times import version_b
 
+pytestmark = pytest.mark.system
+
 
 def test_fixed_point_columns_of_her_centroids():
     """Every one of 28 coordinates within her own differences, and towards the centre of the image as hers."""
