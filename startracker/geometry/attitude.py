@@ -124,21 +124,16 @@ class Attitude:
     def __post_init__(self) -> None:
         quat = np.array(self.quat, dtype=float)
         x, y, z, w = quat.tolist() if quat.shape == (4,) else (math.nan,) * 4
-        if w >= 0.0 and abs(x * x + y * y + z * z + w * w - 1.0) <= _UNIT:  # as nearly all are
-            quat.setflags(write=False)
-            object.__setattr__(self, "quat", quat)
-            return
-        largest = max(abs(x), abs(y), abs(z), abs(w))
-        finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z) and math.isfinite(w)
-        if not (finite and largest > 0):
-            raise InputError(f"an attitude needs a finite, non-zero quaternion (x, y, z, w); got {self.quat}")
-        length = 1.0
-        if not (largest <= 1.0 and abs(x * x + y * y + z * z + w * w - 1.0) <= _UNIT):
+        if not abs(x * x + y * y + z * z + w * w - 1.0) <= _UNIT:  # nearly all are normalised
+            largest = max(abs(x), abs(y), abs(z), abs(w))
+            finite = math.isfinite(x) and math.isfinite(y) and math.isfinite(z) and math.isfinite(w)
+            if not (finite and largest > 0):
+                raise InputError(f"an attitude needs a finite, non-zero quaternion (x, y, z, w); got {self.quat}")
             x, y, z, w = x / largest, y / largest, z / largest, w / largest  # no overflow or underflow of the squares
             length = math.sqrt(x * x + y * y + z * z + w * w)
-        if w < 0:
-            length = -length
-        quat[0], quat[1], quat[2], quat[3] = x / length, y / length, z / length, w / length
+            quat[0], quat[1], quat[2], quat[3] = x / length, y / length, z / length, w / length
+        if w < 0.0:
+            np.negative(quat, out=quat)
         quat.flags.writeable = False
         object.__setattr__(self, "quat", quat)
 

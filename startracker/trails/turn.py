@@ -128,18 +128,9 @@ def _ends(here: FloatArray, halves: FloatArray, camera: Camera) -> FloatArray:
     angle = np.linalg.norm(halves, axis=1)[:, None, None]
     axis = halves[:, None, :] / np.maximum(angle, 1e-15)
     along = (here * axis).sum(axis=2, keepdims=True) * axis
-    still, side = (here - along) * np.cos(angle) + along, _cross(axis, here) * np.sin(angle)
+    still, side = (here - along) * np.cos(angle) + along, np.cross(axis, here) * np.sin(angle)
     turned = np.stack([still - side, still + side])
     return camera.project(turned.reshape(-1, 3)).reshape(*turned.shape[:3], 2)
-
-
-def _cross(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Vectors (K, 1, 3) × (N, 3), in a quarter of the time of `np.cross`."""
-    a, b, c = one[..., 0], one[..., 1], one[..., 2]
-    x, y, z = other.T
-    out = np.empty((len(one), *other.shape))
-    out[..., 0], out[..., 1], out[..., 2] = b * z - c * y, c * x - a * z, a * y - b * x
-    return out
 
 
 def _spans_and_slopes(here: FloatArray, half: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
