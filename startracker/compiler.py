@@ -230,9 +230,12 @@ def _classes_by_constant() -> Iterator[Shortcut]:
     yield PythonAPI, "unserialize", run
 
 
-def _light_first_optimisation() -> Shortcut:
-    """Optimisation of each function before those that it calls are inlined, by fewer passes: all follow afterwards."""
-    from numba.core.codegen import CPUCodeLibrary
+def _light_first_optimisation() -> Iterator[Shortcut]:
+    """Optimisation of each function before those that it calls are inlined, by fewer passes: all follow afterwards.
+
+    With LLVM's new pass manager only, which numba has used since its version 0.62.
+    """
+    from numba.core.codegen import CPUCodegen, CPUCodeLibrary
 
     def run(self: Any, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -241,7 +244,8 @@ def _light_first_optimisation() -> Shortcut:
                 passes, builder = self._codegen._function_pass_manager(opt=1)
                 passes.run(function, builder)
 
-    return CPUCodeLibrary, "_optimize_functions", run
+    if hasattr(CPUCodegen, "_pass_builder"):
+        yield CPUCodeLibrary, "_optimize_functions", run
 
 
 def _available(*found_by: Callable[[], Shortcut | Iterator[Shortcut]]) -> Iterator[Shortcut]:
