@@ -70,7 +70,7 @@ def median(values: NDArray[np.float64]) -> float:
     return middle
 
 
-@kernel
+@kernel_part
 def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
     """Stable ascending order of a few numbers: indices into `order`."""
     for last in range(len(values)):
