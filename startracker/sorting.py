@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,16 @@ def median(values: NDArray[np.float64]) -> float:
     sort(values)
     middle: float = 0.5 * (values[(len(values) - 1) // 2] + values[len(values) // 2])
     return middle
+
+
+def finite_medians(values: NDArray[np.float64]) -> tuple[float, ...]:
+    """Medians of the columns (K,) of a few rows (N, K), of those rows that are finite; NaN where there is none.
+
+    For a handful of numbers Python's lists take a tenth of the time of `numpy.median`.
+    """
+    rows = [row for row in values.tolist() if all(map(math.isfinite, row))]
+    columns = map(sorted, zip(*rows, strict=True)) if rows else [[math.nan]] * values.shape[1]
+    return tuple(0.5 * (column[(len(column) - 1) // 2] + column[len(column) // 2]) for column in columns)
 
 
 @kernel_part

@@ -212,23 +212,20 @@ def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[flo
     return psf, starts._replace(half=np.minimum(half + starts.half, reach))
 
 
-@kernel
 def _start_values(pixels: Pixels, peaks: Peaks, moments: FloatArray) -> Starts:
     """Approximate positions; half widths that are the radii of flat tops in whole pixels alone."""
-    count = len(moments)
-    xs, ys = moments[:, 0].copy(), moments[:, 1].copy()
-    flat, ceilings = np.zeros(count, np.int64), np.full(count, np.inf)
-    for n in range(count):
-        x, y = peaks.x[n], peaks.y[n]
-        off = max(abs(xs[n] - x), abs(ys[n] - y))
-        # a moment that neighbours have drawn off is no start
-        if not math.isfinite(xs[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
-            xs[n], ys[n] = x, y
-        if peaks.saturated[n]:
-            flat[n] = math.ceil(math.sqrt(peaks.pixels[n] / math.pi))
-            sky = np.float64(pixels.level[y, x])
-            ceilings[n] = sky + _CEILING_SHARE * (np.float64(pixels.image[y, x]) - sky)
-    return Starts(xs, ys, flat, ceilings)
+    x, y = moments[:, 0], moments[:, 1]
+    # a moment that neighbours have drawn off is no start
+    near = (np.abs(x - peaks.x) <= _ASTRAY_PX) & (np.abs(y - peaks.y) <= _ASTRAY_PX)
+    usable = near | (peaks.saturated & np.isfinite(x))
+    flat, ceilings = np.zeros(len(x), np.int64), np.full(len(x), np.inf)
+    if peaks.saturated.any():
+        top = peaks.saturated.nonzero()[0]
+        flat[top] = np.ceil(np.sqrt(peaks.pixels[top] / math.pi))
+        at = peaks.y[top], peaks.x[top]
+        sky = pixels.level[at].astype(np.float64)
+        ceilings[top] = sky + _CEILING_SHARE * (pixels.image[at].astype(np.float64) - sky)
+    return Starts(np.where(usable, x, peaks.x), np.where(usable, y, peaks.y), flat, ceilings)
 
 
 def _widths(psf: PsfModel) -> tuple[float, float]:

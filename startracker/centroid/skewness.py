@@ -63,7 +63,6 @@ def _expansion(u: float, v: float, shape: Shape, out: FloatArray) -> None:
     out[8], out[9] = g * (s * (t * t - b) - 2.0 * c * t) / 2.0, g * t * (t * t - 3.0 * b) / 6.0
 
 
-@kernel_part
 def expansions_of(half: int, shape: Shape) -> FloatArray:
     """`_expansion` of a star in the middle of a pixel (W², 10), for all pixels of its window."""
     side = 2 * half + 1
@@ -73,9 +72,10 @@ def expansions_of(half: int, shape: Shape) -> FloatArray:
     return out
 
 
-@kernel
-def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: float, flat_error: float) -> FloatArray:
-    """A (2, 4), px per px³: how far a fit of a Gaussian is off the mean of an image, by its third cumulants.
+def shifts(
+    expansions: FloatArray, variance: float, flux: FloatArray, inverse_gain: float, flat_error: float
+) -> FloatArray:
+    """A (N, 2, 4), px per px³: how far fits of a Gaussian are off the mean of an image, by its third cumulants.
 
     Parameters
     ----------
@@ -83,34 +83,20 @@ def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: f
         Of the Gaussian over the window, see `expansions_of`.
     variance : float
         Of a pixel in the dark, DN².
-    flux : float
-        Of the star, DN.
+    flux : (N,)
+        Of the stars, DN.
     inverse_gain, flat_error : float
         DN an electron, and the relative error of the flat field: of the weights.
     """
-    normal, row = np.zeros((3, 3)), np.empty(3)
-    right = np.zeros((_CUMULANTS, 3))
-    for n in range(len(expansions)):
-        column = expansions[n]
-        light = flux * column[0]
-        weight = 1.0 / (variance + light * inverse_gain + (flat_error * light) ** 2)
-        for p in range(3):
-            scaled = weight * column[p]
-            for q in range(p + 1):
-                normal[p, q] += scaled * column[q]
-            for k in range(_CUMULANTS):
-                right[k, p] += scaled * column[_FIRST + k]
-    out = np.zeros((2, _CUMULANTS))
-    if factorise(normal, 3):
-        for k in range(_CUMULANTS):
-            for p in range(3):
-                row[p] = right[k, p]
-            substitute(normal, 3, row)
-            out[0, k], out[1, k] = row[1], row[2]
-    return out
+    slopes, light = expansions[:, :3], flux[:, None] * expansions[:, 0]
+    weights = 1.0 / (variance + light * inverse_gain + (flat_error * light) ** 2)
+    beside = np.hstack([slopes, expansions[:, _FIRST:]])
+    products = (slopes[:, :, None] * beside[:, None, :]).reshape(len(expansions), -1)
+    equations = np.einsum("nk,kq->nq", weights, products).reshape(len(flux), 3, -1)
+    return np.linalg.solve(equations[..., :3], equations[..., 3:])[:, 1:]
 
 
-@kernel_part
+@kernel
 def common_skewness(
     pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape
 ) -> tuple[FloatArray, FloatArray, float, float]:
@@ -193,7 +179,6 @@ def _equations_of_star(
     return True
 
 
-@kernel
 def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: int, shape: Shape) -> FloatArray:
     """Take the shift against stars of `REFERENCE_CONTRAST` off the positions of fits; the rest as a covariance.
 
@@ -218,7 +203,8 @@ def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: 
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     if not middle - spread > _NARROWEST or middle + spread > _LONGEST * (middle - spread):
         return common
-    stars = brightest_alone(table[:, 0], table[:, 1], table[:, 2], unfit, _LOOKED_AT)
+    x, y, flux = np.ascontiguousarray(table[:, :3].T)  # as columns the kernel would be compiled once more
+    stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT)
     mean, covariance, chi2, dark = common_skewness(pixels, table, stars, half, shape)
     if not chi2 > _LEAST_CHI2:
         return common
@@ -226,18 +212,9 @@ def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: 
     peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     at_reference = REFERENCE_CONTRAST * dark / (inverse_gain * peak) if inverse_gain > 0.0 else 0.0
     expansions = expansions_of(half, shape)
-    reference = shifts(expansions, dark, at_reference, inverse_gain, 0.0)
-    for n in range(len(table)):
-        if not (math.isfinite(table[n, 0] + table[n, 2]) and table[n, 2] > 0.0) or unfit[n]:
-            continue
-        here = shifts(expansions, dark, table[n, 2], inverse_gain, pixels.flat_error)
-        for axis in range(2):
-            for k in range(_CUMULANTS):
-                table[n, axis] -= kept * (here[axis, k] - reference[axis, k]) * mean[k]
-    for a in range(2):
-        for b in range(2):
-            for k in range(_CUMULANTS):
-                for m in range(_CUMULANTS):
-                    square = kept * covariance[k, m] + kept * kept * mean[k] * mean[m]
-                    common[a, b] += reference[a, k] * square * reference[b, m]
-    return common
+    reference = shifts(expansions, dark, np.array([at_reference]), inverse_gain, 0.0)[0]
+    fitted = np.flatnonzero(np.isfinite(table[:, 0]) & (table[:, 2] > 0.0) & (table[:, 2] < np.inf) & ~unfit)
+    here = shifts(expansions, dark, table[fitted, 2], inverse_gain, pixels.flat_error)
+    table[fitted, :2] -= kept * ((here - reference) @ mean)
+    square = kept * covariance + kept * kept * np.outer(mean, mean)
+    return np.asarray(reference @ square @ reference.T)
