@@ -17,7 +17,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 BLOCK = 64
 
@@ -32,7 +32,7 @@ def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float32(types.float32, types.float32, types.float32), generate
 
 
-@kernel
+@pixel_kernel
 def outside(values: NDArray[Any], low: float, high: float) -> int:
     """Number of the values (N,) that are not in low … high; NaN counts as outside."""
     count = np.int32(0)

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 _TAIL = 1e-17
 """Trails are truncated below this fraction of a packet."""
@@ -67,7 +67,7 @@ def late_shares(pixels: int, cti: float) -> FloatArray:
     return table
 
 
-@kernel
+@pixel_kernel
 def trail_rows(electrons: FloatArray, shares: FloatArray) -> FloatArray:
     """Parallel transfer towards row 0: out[r] = Σₖ shares[k, r − k] electrons[r − k], a new array."""
     rows, columns = electrons.shape
@@ -80,7 +80,7 @@ def trail_rows(electrons: FloatArray, shares: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@pixel_kernel
 def trail_columns(electrons: FloatArray, shares: FloatArray) -> FloatArray:
     """Serial transfer towards column 0: out[:, x] = Σₖ shares[k, x − k] electrons[:, x − k], a new array."""
     rows, columns = electrons.shape

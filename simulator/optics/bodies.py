@@ -19,7 +19,7 @@ from simulator.optics.splat import render_stars
 from startracker.arrays import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part, pixel_kernel
 
 CONVOLVED_PX = 256.0
 """Larger disks are rendered without blur: their radius is a hundred times the width of a PSF."""
@@ -90,7 +90,7 @@ def share_before_limb(
     return float(_share(_SHARE_SAMPLES, cosine, LAWS[law], (offset, curvature, between_rad)))
 
 
-@kernel
+@pixel_kernel
 def _share(samples: int, cosine: float, law: int, limb: Limb) -> float:
     """Kernel of `share_before_limb`: the Sun along +x; lines of samples towards the limb, truncated there."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
@@ -227,7 +227,7 @@ def _samples(radius_cells: float) -> int:
     return min(max(math.ceil(256.0 / radius_cells), 2), 32)
 
 
-@kernel
+@pixel_kernel
 def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, disk: LitDisk, samples: int) -> None:
     """Kernel: light of a lit sphere with its radii in cells of `image`, sampled at `samples`² points per cell, added
     with `amounts` (K,) at the centres (K, 2)."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 
 def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, float], electrons: float) -> None:
@@ -34,7 +34,7 @@ def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, f
         add_ellipse(image, float(x), float(y), float(radius_x), float(radius_y), float(electrons))
 
 
-@kernel
+@pixel_kernel
 def add_ellipse(image: FloatArray, x: float, y: float, radius_x: float, radius_y: float, electrons: float) -> None:
     """Kernel: exact overlap of an axis-aligned ellipse with each pixel."""
     height, width = image.shape
@@ -46,7 +46,7 @@ def add_ellipse(image: FloatArray, x: float, y: float, radius_x: float, radius_y
             image[j, i] += electrons / math.pi * max(area, 0.0)  # rounding can give −1e-17
 
 
-@kernel
+@pixel_kernel
 def _corner(x: float, y: float) -> float:
     """Area of the part of the unit disk with X ≤ x and Y ≤ y."""
     x, y = min(max(x, -1.0), 1.0), min(max(y, -1.0), 1.0)
@@ -60,7 +60,7 @@ def _corner(x: float, y: float) -> float:
     return area
 
 
-@kernel
+@pixel_kernel
 def _semicircle(t: float) -> float:
     """∫ √(1 − t²) dt."""
     area: float = 0.5 * (t * math.sqrt(max(1.0 - t * t, 0.0)) + math.asin(t))

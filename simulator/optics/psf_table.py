@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from simulator.optics import pupil
 from simulator.optics.pixel_response import transfer
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 TAPS = 4
 """Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is unrolled for four."""
@@ -184,7 +184,7 @@ def least_radius(half: int, aspect: float) -> float:
     return math.hypot(half + 1.0, (half + 1.0) / aspect)
 
 
-@kernel
+@pixel_kernel
 def fade(r: float, radius: float) -> float:
     """1 to `radius`, 0 from `radius` + `TAPER_PX` on, smooth (3t² − 2t³) between."""
     t = min(max((radius + TAPER_PX - r) / TAPER_PX, 0.0), 1.0)
@@ -196,7 +196,7 @@ def _fades(r: FloatArray, radius: float) -> FloatArray:
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
-@kernel
+@pixel_kernel
 def outside(
     at_px: FloatArray, half: int, wing: FloatArray, wing_per_px: float, row_px: float, radius: float
 ) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from simulator.optics.psf_table import TAPER_PX, fade
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part, pixel_kernel
 
 
 class Wings(NamedTuple):
@@ -143,7 +143,7 @@ def _add_line(
         sums[i] += line[i]
 
 
-@kernel
+@pixel_kernel
 def _wing_row(
     line: FloatArray,
     left: int,
@@ -166,7 +166,7 @@ def _wing_row(
         pixels[i] = amount * (low + (position - np.int32(position)) * (share[m + np.uint32(1)] - low))
 
 
-@kernel
+@pixel_kernel
 def _wing_rim(
     line: FloatArray,
     left: int,

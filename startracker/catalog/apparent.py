@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 
-@kernel
+@pixel_kernel
 def apparent_directions(
     start: FloatArray, motion: FloatArray, parallax: FloatArray, years: float, position_au: FloatArray, beta: FloatArray
 ) -> FloatArray:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel_part, kernel_with, pixel_kernel
 
 Tile = tuple[int, int, int, int]
 """First row, last row + 1, first column, last column + 1."""
@@ -32,7 +32,7 @@ _CLIPPED_STD = 0.98658
 """Standard deviation of a unit normal distribution cut at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
 
 
-@kernel
+@pixel_kernel
 def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> float:
     """Value at index k if values[start:stop] were sorted; reorders them, none before k larger (Hoare 1961)."""
     left, right = start, stop - 1
@@ -79,7 +79,7 @@ def whole_step(values: NDArray[Any]) -> int:
     return max(step, 1)
 
 
-@kernel
+@pixel_kernel
 def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
     """Value at index k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
 
@@ -166,7 +166,7 @@ def tile_statistics(image: Image, rows: int, columns: int, step: float) -> Float
     return statistics
 
 
-@kernel
+@pixel_kernel
 def _fill_statistics(
     image: Image, stride: int, step: float, sample: NDArray[np.float32], statistics: FloatArray
 ) -> None:
@@ -206,7 +206,7 @@ def smooth_tiles(tiles: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@pixel_kernel
 def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
     rows, columns = tiles.shape[1], tiles.shape[2]
     for n in range(len(tiles)):
@@ -262,7 +262,7 @@ def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: b
     return Plane(lines, cell, share.astype(np.float32))
 
 
-@kernel
+@pixel_kernel
 def _interpolate(tiles: FloatArray, first: NDArray[np.int64], share: FloatArray, lines: NDArray[np.float32]) -> None:
     for r in range(len(tiles)):
         for cell in range(len(first) - 1):
