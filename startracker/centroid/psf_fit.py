@@ -214,18 +214,25 @@ def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[flo
 
 def _start_values(pixels: Pixels, peaks: Peaks, moments: FloatArray) -> Starts:
     """Approximate positions; half widths that are the radii of flat tops in whole pixels alone."""
-    x, y = moments[:, 0], moments[:, 1]
-    # a moment that neighbours have drawn off is no start
-    near = (np.abs(x - peaks.x) <= _ASTRAY_PX) & (np.abs(y - peaks.y) <= _ASTRAY_PX)
-    usable = near | (peaks.saturated & np.isfinite(x))
-    flat, ceilings = np.zeros(len(x), np.int64), np.full(len(x), np.inf)
-    if peaks.saturated.any():
-        top = peaks.saturated.nonzero()[0]
-        flat[top] = np.ceil(np.sqrt(peaks.pixels[top] / math.pi))
-        at = peaks.y[top], peaks.x[top]
-        sky = pixels.level[at].astype(np.float64)
-        ceilings[top] = sky + _CEILING_SHARE * (pixels.image[at].astype(np.float64) - sky)
-    return Starts(np.where(usable, x, peaks.x), np.where(usable, y, peaks.y), flat, ceilings)
+    x, y = moments[:, :2].T.copy()
+    starts = Starts(x, y, np.zeros(len(x), np.int64), np.full(len(x), np.inf))
+    _fill_starts(pixels, peaks, starts)
+    return starts
+
+
+@kernel
+def _fill_starts(pixels: Pixels, peaks: Peaks, starts: Starts) -> None:
+    """Replaces unusable moments by the brightest pixels; radii and ceilings of flat tops."""
+    for n in range(len(starts.x)):
+        x, y = peaks.x[n], peaks.y[n]
+        off = max(abs(starts.x[n] - x), abs(starts.y[n] - y))
+        # a moment that neighbours have drawn off is no start
+        if not math.isfinite(starts.x[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
+            starts.x[n], starts.y[n] = x, y
+        if peaks.saturated[n]:
+            starts.half[n] = math.ceil(math.sqrt(peaks.pixels[n] / math.pi))
+            sky = np.float64(pixels.level[y, x])
+            starts.ceiling[n] = sky + _CEILING_SHARE * (np.float64(pixels.image[y, x]) - sky)
 
 
 def _widths(psf: PsfModel) -> tuple[float, float]:

@@ -54,28 +54,29 @@ class Starts(NamedTuple):
     ceiling: FloatArray
 
 
-def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray | IntArray) -> IntArray:
+def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
     """Number of the group of each star: chains of stars nearer than `reach` of either, on both axes.
 
     A chain of more than `MOST_TOGETHER` is cut.
     """
-    order = np.argsort(x)
-    along = x[order]
-    ends = np.searchsorted(along, along + reach.max(), side="right").tolist()
-    xs, ys, reaches, stars = along.tolist(), y.tolist(), reach.tolist(), order.tolist()
-    close = []
-    for n, one in enumerate(stars):
-        for m in range(n + 1, ends[n]):
-            other = stars[m]
-            near = max(reaches[one], reaches[other])
-            if xs[m] - xs[n] <= near and abs(ys[one] - ys[other]) <= near:
-                close.append((max(one, other), min(one, other)))
     group = np.arange(len(x))
-    for later, earlier in sorted(close):
-        together = (group == group[earlier]) | (group == group[later])
-        if np.count_nonzero(together) <= MOST_TOGETHER:
-            group[together] = group[earlier]
+    _join(x, y, reach, group, np.ones(len(x), np.int64))
     return group
+
+
+@kernel
+def _join(x: FloatArray, y: FloatArray, reach: FloatArray, group: IntArray, members: IntArray) -> None:
+    """Joins the groups of `group_stars`, at first of one star each."""
+    for i in range(len(x)):
+        for j in range(i):
+            near = max(reach[i], reach[j])
+            if abs(x[i] - x[j]) <= near and abs(y[i] - y[j]) <= near and group[i] != group[j]:
+                keep, drop = group[j], group[i]
+                if members[keep] + members[drop] <= MOST_TOGETHER:
+                    members[keep] += members[drop]
+                    for k in range(len(x)):
+                        if group[k] == drop:
+                            group[k] = keep
 
 
 def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, reweigh: bool) -> FloatArray:

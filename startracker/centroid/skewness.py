@@ -63,6 +63,7 @@ def _expansion(u: float, v: float, shape: Shape, out: FloatArray) -> None:
     out[8], out[9] = g * (s * (t * t - b) - 2.0 * c * t) / 2.0, g * t * (t * t - 3.0 * b) / 6.0
 
 
+@kernel_part
 def expansions_of(half: int, shape: Shape) -> FloatArray:
     """`_expansion` of a star in the middle of a pixel (W², 10), for all pixels of its window."""
     side = 2 * half + 1
@@ -72,10 +73,9 @@ def expansions_of(half: int, shape: Shape) -> FloatArray:
     return out
 
 
-def shifts(
-    expansions: FloatArray, variance: float, flux: FloatArray, inverse_gain: float, flat_error: float
-) -> FloatArray:
-    """A (N, 2, 4), px per px³: how far fits of a Gaussian are off the mean of an image, by its third cumulants.
+@kernel
+def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: float, flat_error: float) -> FloatArray:
+    """A (2, 4), px per px³: how far a fit of a Gaussian is off the mean of an image, by its third cumulants.
 
     Parameters
     ----------
@@ -83,20 +83,34 @@ def shifts(
         Of the Gaussian over the window, see `expansions_of`.
     variance : float
         Of a pixel in the dark, DN².
-    flux : (N,)
-        Of the stars, DN.
+    flux : float
+        Of the star, DN.
     inverse_gain, flat_error : float
         DN an electron, and the relative error of the flat field: of the weights.
     """
-    slopes, light = expansions[:, :3], flux[:, None] * expansions[:, 0]
-    weights = 1.0 / (variance + light * inverse_gain + (flat_error * light) ** 2)
-    beside = np.hstack([slopes, expansions[:, _FIRST:]])
-    products = (slopes[:, :, None] * beside[:, None, :]).reshape(len(expansions), -1)
-    equations = np.einsum("nk,kq->nq", weights, products).reshape(len(flux), 3, -1)
-    return np.linalg.solve(equations[..., :3], equations[..., 3:])[:, 1:]
+    normal, row = np.zeros((3, 3)), np.empty(3)
+    right = np.zeros((_CUMULANTS, 3))
+    for n in range(len(expansions)):
+        column = expansions[n]
+        light = flux * column[0]
+        weight = 1.0 / (variance + light * inverse_gain + (flat_error * light) ** 2)
+        for p in range(3):
+            scaled = weight * column[p]
+            for q in range(p + 1):
+                normal[p, q] += scaled * column[q]
+            for k in range(_CUMULANTS):
+                right[k, p] += scaled * column[_FIRST + k]
+    out = np.zeros((2, _CUMULANTS))
+    if factorise(normal, 3):
+        for k in range(_CUMULANTS):
+            for p in range(3):
+                row[p] = right[k, p]
+            substitute(normal, 3, row)
+            out[0, k], out[1, k] = row[1], row[2]
+    return out
 
 
-@kernel
+@kernel_part
 def common_skewness(
     pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape
 ) -> tuple[FloatArray, FloatArray, float, float]:
@@ -205,16 +219,34 @@ def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: 
         return common
     x, y, flux = np.ascontiguousarray(table[:, :3].T)  # as columns the kernel would be compiled once more
     stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT)
+    _correct(pixels, table, stars, unfit, half, shape, common)
+    return common
+
+
+@kernel
+def _correct(
+    pixels: Pixels, table: FloatArray, stars: IntArray, unfit: BoolArray, half: int, shape: Shape, common: FloatArray
+) -> None:
+    """Corrects the table of `correct_skewness` by the skewness of some of its stars, and adds to the covariance."""
     mean, covariance, chi2, dark = common_skewness(pixels, table, stars, half, shape)
     if not chi2 > _LEAST_CHI2:
-        return common
+        return
+    xx, yy, xy = shape
     kept, inverse_gain = 1.0 - (_LEAST_CHI2 / chi2) ** 2, pixels.inverse_gain
     peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     at_reference = REFERENCE_CONTRAST * dark / (inverse_gain * peak) if inverse_gain > 0.0 else 0.0
     expansions = expansions_of(half, shape)
-    reference = shifts(expansions, dark, np.array([at_reference]), inverse_gain, 0.0)[0]
-    fitted = np.flatnonzero(np.isfinite(table[:, 0]) & (table[:, 2] > 0.0) & (table[:, 2] < np.inf) & ~unfit)
-    here = shifts(expansions, dark, table[fitted, 2], inverse_gain, pixels.flat_error)
-    table[fitted, :2] -= kept * ((here - reference) @ mean)
-    square = kept * covariance + kept * kept * np.outer(mean, mean)
-    return np.asarray(reference @ square @ reference.T)
+    reference = shifts(expansions, dark, at_reference, inverse_gain, 0.0)
+    for n in range(len(table)):
+        if not (math.isfinite(table[n, 0] + table[n, 2]) and table[n, 2] > 0.0) or unfit[n]:
+            continue
+        here = shifts(expansions, dark, table[n, 2], inverse_gain, pixels.flat_error)
+        for axis in range(2):
+            for k in range(_CUMULANTS):
+                table[n, axis] -= kept * (here[axis, k] - reference[axis, k]) * mean[k]
+    for a in range(2):
+        for b in range(2):
+            for k in range(_CUMULANTS):
+                for m in range(_CUMULANTS):
+                    square = kept * covariance[k, m] + kept * kept * mean[k] * mean[m]
+                    common[a, b] += reference[a, k] * square * reference[b, m]
