@@ -116,7 +116,7 @@ def fit_turn(
     return turn, covariance, information
 
 
-@kernel_part
+@kernel
 def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
     """Columns: `one`; the pole n of the great circle to `two`; and n × one, towards `two`."""
     out, pole = np.empty((3, 3)), np.empty(3)
