@@ -13,7 +13,7 @@ from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 
 def render_stars(
@@ -145,39 +145,38 @@ def add_tabulated(
         longest = max(longest, stars.radius[n])
     lines = np.zeros((2, 2 * math.ceil(longest + TAPER_PX) + 4))
     stamp, middle = np.empty(side * side), core.shape[0] // 2
-    moments, weight, first = np.empty(6), np.empty((2, TAPS)), np.empty(2, np.int64)
+    moments, weight_x, weight_y = np.empty(6), np.empty(TAPS), np.empty(TAPS)
     work = _Work(stamp, moments, lines)
     for n in range(xy.shape[0]):
         radius = stars.radius[n]
         reach_x = radius + TAPER_PX + 1.0 if radius > half else half + 1.0
         reach_y = (radius + TAPER_PX) / wings.row_px + 1.0 if radius > half else half + 1.0
         pixel, pending = (0, 0), False
-        for k in range(xy.shape[1] + 1):
-            end = k == xy.shape[1]
-            x, y = (0.0, 0.0) if end else (xy[n, k, 0], xy[n, k, 1])
-            if not (end or (-1.0 - reach_x < x < width + reach_x and -1.0 - reach_y < y < height + reach_y)):
+        for k in range(xy.shape[1]):
+            x, y = xy[n, k, 0], xy[n, k, 1]
+            if not (-1.0 - reach_x < x < width + reach_x and -1.0 - reach_y < y < height + reach_y):
                 continue
             now = (math.floor(x + 0.5), math.floor(y + 0.5))
-            if pending and (end or now != pixel):
+            if pending and now != pixel:
                 _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
                 pending = False
-            if end:
-                break
             if not pending:
                 stamp[:] = 0.0
                 moments[:] = 0.0
                 pixel, pending = now, True
             dx, dy, amount = x - pixel[0], y - pixel[1], electrons[n] * weights[k]
             _add_moments(moments, dx, dy, amount)
-            for axis in range(2):
-                first[axis] = _lagrange(weight[axis], (dx, dy)[axis] * phases, (amount, 1.0)[axis]) + middle
+            first_x = _lagrange(weight_x, dx * phases, amount) + middle
+            first_y = _lagrange(weight_y, dy * phases, 1.0) + middle
             for b in range(TAPS):
-                t0, t1 = flat[first[1] + b, first[0]], flat[first[1] + b, first[0] + 1]
-                t2, t3 = flat[first[1] + b, first[0] + 2], flat[first[1] + b, first[0] + 3]
-                w0, w1 = weight[1, b] * weight[0, 0], weight[1, b] * weight[0, 1]
-                w2, w3 = weight[1, b] * weight[0, 2], weight[1, b] * weight[0, 3]
+                t0, t1 = flat[first_y + b, first_x], flat[first_y + b, first_x + 1]
+                t2, t3 = flat[first_y + b, first_x + 2], flat[first_y + b, first_x + 3]
+                w0, w1 = weight_y[b] * weight_x[0], weight_y[b] * weight_x[1]
+                w2, w3 = weight_y[b] * weight_x[2], weight_y[b] * weight_x[3]
                 for i in range(side * side):
                     stamp[i] += w0 * t0[i] + w1 * t1[i] + w2 * t2[i] + w3 * t3[i]
+        if pending:
+            _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
 
 
 @kernel_part
@@ -191,7 +190,7 @@ def _add_moments(moments: FloatArray, dx: float, dy: float, amount: float) -> No
     moments[5] += amount * dy * dy
 
 
-@kernel_part
+@pixel_kernel
 def _add_pixel(
     image: FloatArray, work: _Work, pixel: tuple[int, int], radius: float, whole: float, wings: Wings
 ) -> None:
@@ -226,7 +225,7 @@ def _add_stamp(image: FloatArray, stamp: FloatArray, centre_x: int, centre_y: in
             image[j, i] += stamp[start + i]
 
 
-@kernel_part
+@kernel
 def _lagrange(out: FloatArray, position: float, scale: float) -> int:
     """Weights of TAPS points around `position` on an integer grid, times `scale`; returns the first point."""
     first = math.floor(position) - TAPS // 2 + 1
