@@ -27,7 +27,7 @@ from scipy.special import gammaln
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.linalg import log_determinant
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median, order_of
 
 SCALES = np.array([0.4, 0.7, 1.25, 2.2, 4.0, 7.0, 12.5, 22.0])
@@ -96,25 +96,40 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
     if not math.isfinite(zero):
         return out
     stride = max(1, len(field_v) // _SAMPLE)
-    sample = (len(field_v) + stride - 1) // stride
     anyhow, most = np.empty(len(SCATTERS_MAG)), np.zeros(len(SCATTERS_MAG))
     for k in range(len(seen)):
         anyhow[:] = 0.0
-        for g in range(sample + 1):  # a sample of the field, and at last the star's own guide star
-            d = magnitude[seen[k]] - zero - field_v[g * stride] if g < sample else difference[k] - zero
-            wide = _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI) * math.exp(-0.5 * (d / _WIDE_MAG) ** 2)
+        count = 0
+        for g in range(0, len(field_v), stride):
+            d = magnitude[seen[k]] - zero - field_v[g]
+            wide = _wide(d)
             for s in range(len(SCATTERS_MAG)):
-                density, square = wide, 0.5 * (d / SCATTERS_MAG[s]) ** 2
-                if square <= 40.0:  # e^−40 is lost beside `_FLOOR`
-                    density += (1.0 - _WIDE_SHARE) / (SCATTERS_MAG[s] * _ROOT_TWO_PI) * math.exp(-square)
-                if g < sample:
-                    anyhow[s] += density
-                    continue
-                out[s, seen[k]] = math.log((density + _FLOOR) / (anyhow[s] / sample + _FLOOR))
-                most[s] = max(most[s], out[s, seen[k]])
+                anyhow[s] += _core(d, SCATTERS_MAG[s]) + wide
+            count += 1
+        d = difference[k] - zero
+        wide = _wide(d)
+        for s in range(len(SCATTERS_MAG)):
+            likely = _core(d, SCATTERS_MAG[s]) + wide
+            out[s, seen[k]] = math.log((likely + _FLOOR) / (anyhow[s] / count + _FLOOR))
+            most[s] = max(most[s], out[s, seen[k]])
     for s in range(len(SCATTERS_MAG)):
         out[s, seen[0]] -= most[s]
     return out
+
+
+@kernel_part
+def _core(difference: float, width: float) -> float:
+    """Density of a magnitude difference of the given scatter, without the wings' share."""
+    square = 0.5 * (difference / width) ** 2
+    if square > 40.0:  # e^−40 is lost beside `_FLOOR`
+        return 0.0
+    return (1.0 - _WIDE_SHARE) / (width * _ROOT_TWO_PI) * math.exp(-square)
+
+
+@kernel_part
+def _wide(difference: float) -> float:
+    """Density of the wings."""
+    return _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI) * math.exp(-0.5 * (difference / _WIDE_MAG) ** 2)
 
 
 class CountTable(NamedTuple):
@@ -255,7 +270,7 @@ def _most_gained(matched: Matched, seen: IntArray, scale: float, other: float) -
     return total
 
 
-@kernel_part
+@kernel
 def _log_matches(
     matched: Matched, seen: IntArray, area: float, scale: float, scatter: int, in_field: int, counts: CountTable
 ) -> float:
@@ -305,30 +320,27 @@ def log_bayes_factor(
     seen = seen[:count]
     if count < 3 or in_field < 1:
         return -math.inf, 1.0
-    volumes, best, highest_plain = np.empty(len(SCALES)), 0, -math.inf
-    highest, total = -math.inf, 0.0
-    for weighing in range(WEIGHINGS):  # one loop: a part is compiled once for each call
-        if weighing < len(SCALES):  # the width that fits best, without magnitudes
-            s, scatter = weighing, -1
-            volumes[s] = _log_volume(information, SCALES[s], focal_sigma) + SCALE_LOG_PRIOR[s]
-            # no match can gain more than the sum of what each gains alone: most of the larger widths need no more
-            gain = volumes[s] - volumes[best] + _most_gained(matched, seen, SCALES[best], SCALES[s])
-            needed = not gain < -_ROUNDING
-        else:  # the widths next to the best one add the most; those left out could only make B larger
-            s = best - 1 + (weighing - len(SCALES)) // len(SCATTERS_MAG)
-            scatter = (weighing - len(SCALES)) % len(SCATTERS_MAG)
-            needed = 0 <= s < len(SCALES)
-        if not needed:
+    # the width that fits best, without magnitudes
+    volumes, best, highest = np.empty(len(SCALES)), 0, -math.inf
+    for s in range(len(SCALES)):
+        volumes[s] = _log_volume(information, SCALES[s], focal_sigma) + SCALE_LOG_PRIOR[s]
+        # no match can gain more than the sum of what each gains alone: most of the larger widths need no more
+        gain = volumes[s] - volumes[best] + _most_gained(matched, seen, SCALES[best], SCALES[s])
+        if s > 0 and gain < -_ROUNDING:
             continue
-        value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], scatter, in_field, counts)
-        if scatter < 0:
-            if value > highest_plain:
-                best, highest_plain = s, value
-        elif value > highest:
-            total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
-            highest = value
-        else:
-            total += math.exp(value - highest)
+        value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
+        if value > highest:
+            best, highest = s, value
+    # the widths next to the best one add the most; those left out could only make B larger
+    highest, total = -math.inf, 0.0
+    for s in range(max(best - 1, 0), min(best + 2, len(SCALES))):
+        for scatter in range(len(SCATTERS_MAG)):
+            value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], scatter, in_field, counts)
+            if value > highest:
+                total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
+                highest = value
+            else:
+                total += math.exp(value - highest)
     if not highest > -math.inf:
         return -math.inf, SCALES[best]
     return highest + math.log(total / len(SCATTERS_MAG)), SCALES[best]
