@@ -244,7 +244,7 @@ def _light_first_optimisation() -> Iterator[Shortcut]:
 
     With LLVM's new pass manager only, which numba has used since its version 0.62.
     """
-    from llvmlite.binding.newpassmanagers import create_new_function_pass_manager
+    from llvmlite.binding import create_new_function_pass_manager  # type: ignore[import-untyped]
     from numba.core.codegen import CPUCodegen, CPUCodeLibrary
 
     def run(self: Any, module: Any) -> None:

@@ -217,19 +217,19 @@ def _looked_up(tables: _Tables, b_v: ArrayLike, giant: ArrayLike | None) -> Floa
     if unknown.any():
         share = np.where(unknown, population_giant_share(colour), share)
     clipped = np.minimum(np.maximum(colour, B_V_RANGE[0]), B_V_RANGE[1])
-    place = _place((clipped - B_V_RANGE[0]) / _B_V_STEP, dwarfs)
-    of_giants = np.minimum(np.maximum(share, 0.0), 1.0).reshape(place[1].shape)
-    out = np.asarray(_between(dwarfs, *place) * (1.0 - of_giants) + _between(giants, *place) * of_giants)
+    at = _rows((clipped - B_V_RANGE[0]) / _B_V_STEP, dwarfs)
+    of_giants = np.minimum(np.maximum(share, 0.0), 1.0).reshape(at[1].shape)
+    out = np.asarray(_between(dwarfs, *at) * (1.0 - of_giants) + _between(giants, *at) * of_giants)
     is_late = share >= LATE_GIANT[0]
     if is_late.any():
-        out[is_late] = _between(late, *_place((share[is_late] - LATE_GIANT[0]) / _LATE_STEP, late))
+        out[is_late] = _between(late, *_rows((share[is_late] - LATE_GIANT[0]) / _LATE_STEP, late))
     return out
 
 
 _B_V_STEP, _LATE_STEP = float(_B_V_GRID[1] - _B_V_GRID[0]), float(_LATE_GRID[1] - _LATE_GRID[0])
 
 
-def _place(at: FloatArray, table: FloatArray) -> tuple[IntArray, FloatArray]:
+def _rows(at: FloatArray, table: FloatArray) -> tuple[IntArray, FloatArray]:
     """Rows of a uniform table (M,) or (M, K) below positions (N,) in units of rows, clipped at the ends, and the
     remaining fractions, (N,) or (N, 1)."""
     at = np.minimum(np.maximum(at, 0.0), len(table) - 1.0)

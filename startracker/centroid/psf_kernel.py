@@ -54,7 +54,7 @@ class Starts(NamedTuple):
     ceiling: FloatArray
 
 
-def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
+def group_stars(x: FloatArray, y: FloatArray, reach: IntArray) -> IntArray:
     """Number of the group of each star: chains of stars nearer than `reach` of either, on both axes.
 
     A chain of more than `MOST_TOGETHER` is cut.
@@ -65,7 +65,7 @@ def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
 
 
 @kernel
-def _join(x: FloatArray, y: FloatArray, reach: FloatArray, group: IntArray, members: IntArray) -> None:
+def _join(x: FloatArray, y: FloatArray, reach: IntArray, group: IntArray, members: IntArray) -> None:
     """Joins the groups of `group_stars`, at first of one star each."""
     for i in range(len(x)):
         for j in range(i):
