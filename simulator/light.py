@@ -19,7 +19,6 @@ from simulator.sky.solar_system import Bodies
 from simulator.sky.spectra import SOLAR_B_V
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel
 
 _KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}
 
@@ -161,17 +160,13 @@ def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -
     return near.nonzero()[0]
 
 
-@kernel
 def path_middles(paths: FloatArray, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
     """Weighted means (N, 2) of paths (N, K, 2) over moments that are not NaN; `otherwise` (N, 2) if there are none."""
-    out = otherwise.copy()
-    for n in range(len(paths)):
-        x, y, total = 0.0, 0.0, 0.0
-        for k in range(len(weights)):
-            if math.isfinite(paths[n, k, 0] + paths[n, k, 1]):
-                x += weights[k] * paths[n, k, 0]
-                y += weights[k] * paths[n, k, 1]
-                total += weights[k]
-        if total > 0.0:
-            out[n, 0], out[n, 1] = x / total, y / total
-    return out
+    finite = np.isfinite(paths)
+    if finite.all():
+        return np.asarray(np.einsum("k,nkj->nj", weights, paths) / weights.sum())
+    known = np.asarray(finite.all(axis=2))
+    share = np.where(known, weights, 0.0)
+    total = share.sum(axis=1)[:, None]
+    sums = np.einsum("nk,nkj->nj", share, np.where(known[..., None], paths, 0.0))
+    return np.asarray(np.divide(sums, total, out=otherwise.copy(), where=total > 0.0))

@@ -15,7 +15,7 @@ from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel
-from startracker.observer import Observer
+from startracker.observer import Observer, aberrated
 
 _NAIF = {
     "Mercury": (1, 199),
@@ -172,19 +172,12 @@ def _directions_from(here: FloatArray, beta: FloatArray, nodes: FloatArray, u: f
             slope = change + (1.0 - u) * (1.0 - 3.0 * u) * left - u * (2.0 - 3.0 * u) * right
             velocity[body, axis] = slope / _STEP_DAYS
     start = position[_EARTH] if math.isnan(here[0]) else here
-    inverse_gamma = math.sqrt(1.0 - (beta[0] ** 2 + beta[1] ** 2 + beta[2] ** 2))
     for body in range(bodies):
         x, y, z = position[body, 0] - start[0], position[body, 1] - start[1], position[body, 2] - start[2]
         light_days = math.sqrt(x * x + y * y + z * z) / _LIGHT_DAY_AU
         x, y = x - velocity[body, 0] * light_days, y - velocity[body, 1] * light_days
         z -= velocity[body, 2] * light_days
-        length = math.sqrt(x * x + y * y + z * z)
-        x, y, z = x / length, y / length, z / length
-        share = 1.0 + (x * beta[0] + y * beta[1] + z * beta[2]) / (1.0 + inverse_gamma)
-        x, y = x * inverse_gamma + beta[0] * share, y * inverse_gamma + beta[1] * share
-        z = z * inverse_gamma + beta[2] * share
-        length = math.sqrt(x * x + y * y + z * z)
-        out[body, 0], out[body, 1], out[body, 2] = x / length, y / length, z / length
+        out[body, 0], out[body, 1], out[body, 2] = aberrated(x, y, z, (beta[0], beta[1], beta[2]))
     return out
 
 

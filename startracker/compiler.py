@@ -12,7 +12,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from numba.core import types
+from numba.core import config, types
 from numba.core.compiler_lock import global_compiler_lock
 
 __all__ = ["shortcuts"]
@@ -25,9 +25,14 @@ _VALUES = ("Number", "Boolean", "Array", "BaseTuple", "SliceType", "NoneType")
 
 
 @contextlib.contextmanager
-def shortcuts() -> Iterator[None]:
-    """Within this context kernels are compiled with shortcuts; contexts may be nested, and no other thread compiles."""
+def shortcuts(vectorised: bool = True) -> Iterator[None]:
+    """Within this context kernels are compiled with shortcuts; contexts may be nested, and no other thread compiles.
+
+    Loops are translated to vector instructions only if `vectorised`.
+    """
     with global_compiler_lock, contextlib.ExitStack() as after:
+        _vectorised.append(vectorised)
+        after.callback(_vectorised.pop)
         for owner, name, shortcut in _SHORTCUTS:
             method = vars(owner).get(name)
             if method is shortcut:  # of an outer context
@@ -38,6 +43,10 @@ def shortcuts() -> Iterator[None]:
                 after.callback(setattr, owner, name, method)
             setattr(owner, name, shortcut)
         yield
+
+
+_vectorised: list[bool] = []
+"""Of the kernel being compiled, the last one, and of those that call it."""
 
 
 def _remembered_signatures() -> Shortcut:
@@ -231,21 +240,43 @@ def _classes_by_constant() -> Iterator[Shortcut]:
 
 
 def _light_first_optimisation() -> Iterator[Shortcut]:
-    """Optimisation of each function before those that it calls are inlined, by fewer passes: all follow afterwards.
+    """Optimisation of each function before those that it calls are inlined, by three passes: all follow afterwards.
 
     With LLVM's new pass manager only, which numba has used since its version 0.62.
     """
+    from llvmlite.binding import create_new_function_pass_manager  # type: ignore[import-untyped]
     from numba.core.codegen import CPUCodegen, CPUCodeLibrary
 
     def run(self: Any, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
         for function in module.functions:
             if not function.is_declaration:
-                passes, builder = self._codegen._function_pass_manager(opt=1)
-                passes.run(function, builder)
+                passes = create_new_function_pass_manager()
+                passes.add_sroa_pass()
+                passes.add_simplify_cfg_pass()
+                passes.add_instruction_combine_pass()
+                passes.run(function, self._codegen._pass_builder(opt=1))
 
     if hasattr(CPUCodegen, "_pass_builder"):
         yield CPUCodeLibrary, "_optimize_functions", run
+
+
+def _vectorised_if_asked() -> Iterator[Shortcut]:
+    """Optimisation of a kernel with all that it calls, without vector instructions unless it works on many pixels.
+
+    They take a sixth of the optimisation, and loops over few stars are slower with them.
+    """
+    from numba.core.codegen import CPUCodegen, CPUCodeLibrary
+
+    def run(self: Any) -> None:
+        codegen = self._codegen
+        for options in {"cost": "cheap", "opt": codegen._opt_level}, {}:
+            vectorised = {"loop_vectorize": not options and _vectorised[-1] and config.LOOP_VECTORIZE}
+            passes, builder = codegen._module_pass_manager(**vectorised, **options)
+            passes.run(self._final_module, builder)
+
+    if hasattr(CPUCodegen, "_pass_builder"):
+        yield CPUCodeLibrary, "_optimize_final_module", run
 
 
 def _available(*found_by: Callable[[], Shortcut | Iterator[Shortcut]]) -> Iterator[Shortcut]:
@@ -269,5 +300,6 @@ _SHORTCUTS = tuple(
         _new_declarations_only,
         _classes_by_constant,
         _light_first_optimisation,
+        _vectorised_if_asked,
     )
 )

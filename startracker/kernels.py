@@ -49,12 +49,20 @@ def kernel_part(function: Callable[..., Any]) -> Any:
     return _compiled(function, inline="always")
 
 
+def pixel_kernel(function: Callable[..., Any]) -> Any:
+    """Decorator like `kernel`, for loops over many numbers such as pixels: they use vector instructions.
+
+    Loops over a few stars are faster without, and compiled sooner.
+    """
+    return _compiled(function, vectorised=True)
+
+
 def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator like `kernel`, with additional options of `numba.njit`."""
-    return lambda function: _compiled(function, **options)
+    """Decorator like `pixel_kernel`, with additional options of `numba.njit`."""
+    return lambda function: _compiled(function, vectorised=True, **options)
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+def _compiled(function: Callable[..., Any], vectorised: bool = False, **options: Any) -> Any:
     dispatcher = njit(**_OPTIONS, **options)(function)
     resolve = dispatcher.get_call_template
 
@@ -66,7 +74,7 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     compile_now, name = dispatcher.compile, f"{function.__module__}:{function.__qualname__}"
 
     def compile_once(signature: Any) -> Any:
-        with _held(Path(dispatcher.stats.cache_path), name), shortcuts():
+        with _held(Path(dispatcher.stats.cache_path), name), shortcuts(vectorised):
             try:
                 return compile_now(signature)
             except (AttributeError, ImportError):  # the cache names a class of an earlier version, which is gone

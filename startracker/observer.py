@@ -14,6 +14,7 @@ from startracker.display import described
 from startracker.ephemeris import barycentric, timescale
 from startracker.errors import InputError
 from startracker.interop import is_time, julian_year, plain
+from startracker.kernels import kernel_part
 
 EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
 """Orbital speed of the Earth, and of a satellite in a low Earth orbit."""
@@ -132,6 +133,17 @@ class Observer:
                 f"{name} has the length {length:g} {unit}; at most {most:g} is possible (is it in {other}?)"
             )
         object.__setattr__(self, name, vector)
+
+
+@kernel_part
+def aberrated(x: float, y: float, z: float, beta: tuple[float, float, float]) -> tuple[float, float, float]:
+    """`aberrate` of one vector of any length, for a velocity in units of that of light, within kernels."""
+    inverse_gamma = math.sqrt(1.0 - beta[0] * beta[0] - beta[1] * beta[1] - beta[2] * beta[2])
+    # a unit vector u becomes a vector of length 1 + u·β
+    length, along = math.sqrt(x * x + y * y + z * z), x * beta[0] + y * beta[1] + z * beta[2]
+    shrink = 1.0 / (length + along)
+    forward, kept = (length + along * (1.0 / (1.0 + inverse_gamma))) * shrink, inverse_gamma * shrink
+    return x * kept + beta[0] * forward, y * kept + beta[1] * forward, z * kept + beta[2] * forward
 
 
 def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 _INFINITE_BITS = int(np.float32(np.inf).view(np.int32))
 
@@ -34,7 +35,7 @@ def sort(values: NDArray[Any]) -> None:
         values[parent] = value
 
 
-@kernel
+@pixel_kernel
 def ranked(values: NDArray[np.float32], rank: int) -> tuple[float, float]:
     """Values at a rank and at the next one of finite numbers if they were sorted; the last has itself as the next.
 
@@ -70,7 +71,17 @@ def median(values: NDArray[np.float64]) -> float:
     return middle
 
 
-@kernel
+def finite_medians(values: NDArray[np.float64]) -> tuple[float, ...]:
+    """Medians of the columns (K,) of a few rows (N, K), of those rows that are finite; NaN where there is none.
+
+    For a handful of numbers Python's lists take a tenth of the time of `numpy.median`.
+    """
+    rows = [row for row in values.tolist() if all(map(math.isfinite, row))]
+    columns = map(sorted, zip(*rows, strict=True)) if rows else [[math.nan]] * values.shape[1]
+    return tuple(0.5 * (column[(len(column) - 1) // 2] + column[len(column) // 2]) for column in columns)
+
+
+@kernel_part
 def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
     """Stable ascending order of a few numbers: indices into `order`."""
     for last in range(len(values)):

@@ -17,22 +17,25 @@ import math
 import numpy as np
 
 from simulator.detector.philox import Bits, Key, further_bits
-from simulator.detector.simd import BLOCK, fma, outside
+from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part, pixel_kernel
 
 TAIL = np.float32(3.66)
 """Start of the tails."""
 WORD = 2.0**-32
 
-_P0, _P1, _P2 = np.float32(2.628710547034861), np.float32(0.3229416960379922), np.float32(-0.01021186580633677)
-_P3, _P4, _P5 = np.float32(-2.8766899738652606e-04), np.float32(1.6799162282434642e-04), np.float32(-2.22371866131e-05)
-_P6, _P7, _P8 = np.float32(7.115696431741468e-07), np.float32(2.966971531025157e-07), np.float32(-4.949062150374e-08)
-_P9, _P10, _CENTRE = np.float32(-6.931944184747422e-10), np.float32(5.538620913011903e-10), np.float32(4.0)
+_P = singles(
+    5.538620913011903e-10, -6.931944184747422e-10, -4.949062150374e-08, 2.966971531025157e-07, 7.115696431741468e-07,
+    -2.22371866131e-05, 1.6799162282434642e-04, -2.8766899738652606e-04, -0.01021186580633677, 0.3229416960379922,
+    2.628710547034861,
+)  # fmt: skip
+_CENTRE = np.float32(4.0)
 # ln(1 + z) = z − z²/2 + z³ L(z) for √½ ≤ 1 + z < √2 (Moshier, Cephes: logf)
-_L0, _L1, _L2 = np.float32(7.0376836292e-2), np.float32(-1.1514610310e-1), np.float32(1.1676998740e-1)
-_L3, _L4, _L5 = np.float32(-1.2420140846e-1), np.float32(1.4249322787e-1), np.float32(-1.6668057665e-1)
-_L6, _L7, _L8 = np.float32(2.0000714765e-1), np.float32(-2.4999993993e-1), np.float32(3.3333331174e-1)
+_L = singles(
+    7.0376836292e-2, -1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1, -1.6668057665e-1,
+    2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1,
+)  # fmt: skip
 _LN2, _ROOT_HALF, _MANTISSA, _BITS = np.float32(math.log(2.0)), np.int32(0x3F3504F3), np.int32(0x7FFFFF), np.int32(23)
 _MIDDLE, _LARGEST, _SIGN = np.uint32(2**31), np.int32(2**31 - 1), np.int32(31)
 _ONE, _HALF, _UNIT, _TWICE = np.float32(1.0), np.float32(0.5), np.float32(2.0**-32), np.float32(2.0**-31)
@@ -44,9 +47,7 @@ def _log(y: np.float32) -> np.float32:
     bits = np.int32(np.float32(y).view(np.int32) - _ROOT_HALF)
     exponent = np.float32(np.int32(bits >> _BITS))
     z = np.int32((bits & _MANTISSA) + _ROOT_HALF).view(np.float32) - _ONE
-    poly = fma(fma(fma(fma(_L0, z, _L1), z, _L2), z, _L3), z, _L4)
-    poly = fma(fma(fma(fma(poly, z, _L5), z, _L6), z, _L7), z, _L8)
-    logarithm: np.float32 = fma(exponent, _LN2, fma(z * z, fma(z, poly, -_HALF), z))
+    logarithm: np.float32 = fma(exponent, _LN2, fma(z * z, fma(z, polynomial(z, _L), -_HALF), z))
     return logarithm
 
 
@@ -63,19 +64,18 @@ def tail_words(word: np.uint32) -> np.int32:
     return np.int32(_LARGEST - _words_to_middle(word))
 
 
-@kernel
+@pixel_kernel
 def gaussian_from_bits(bits: Bits, out: SingleArray) -> None:
     """Φ⁻¹((bits + ½)/2³²) in single precision into `out` (≥ N,); in the tails only some value beyond `TAIL`."""
     for i in range(bits.size):
         x = (np.float32(_words_to_middle(bits[i])) + _HALF) * _TWICE  # |2u − 1|
         p = (np.float32(tail_words(bits[i])) + _HALF) * _UNIT  # the smaller of u and 1 − u
         t = -_log(np.float32(4.0) * p * (_ONE - p)) - _CENTRE
-        poly = fma(fma(fma(fma(fma(_P10, t, _P9), t, _P8), t, _P7), t, _P6), t, _P5)
-        number = x * fma(fma(fma(fma(fma(poly, t, _P4), t, _P3), t, _P2), t, _P1), t, _P0)
+        number = x * polynomial(t, _P)
         out[i] = number if bits[i] >= _MIDDLE else -number
 
 
-@kernel
+@pixel_kernel
 def upper_quantile(p: float) -> float:
     """x ≥ 0 with 1 − Φ(x) = p, 0 < p ≤ ½, in double precision: two steps of Halley's method from an approximation
     accurate to 4.5e-4 (Abramowitz & Stegun 1964, 26.2.23)."""

@@ -7,18 +7,22 @@ order. NumPy's generators are sequential; a counter-based one computes sixteen p
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from startracker.kernels import kernel_part
 
 Bits = NDArray[np.uint32]
 Key = NDArray[np.uint64]
-Block = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
-_MULTIPLY_0, _MULTIPLY_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-_WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
-_LOW, _HALF, _ZERO = np.uint64(0xFFFFFFFF), np.uint64(32), np.uint64(0)
+_MULTIPLY_0, _MULTIPLY_1 = 0xD2511F53, 0xCD9E8D57
+_WEYL_0, _WEYL_1 = 0x9E3779B9, 0xBB67AE85
+_LOW, _ROUNDS = 0xFFFFFFFF, 10
+_HALF = np.uint64(32)
 _FRACTION_SHIFT, _UNIT = np.uint64(11), 2.0**-53
 
 
@@ -29,39 +33,32 @@ def draw_key(rng: np.random.Generator) -> Key:
     return np.array([bits & 0xFFFFFFFF, bits >> 32], dtype=np.uint64)
 
 
-@kernel_part
-def _round(x0: np.uint64, x1: np.uint64, x2: np.uint64, x3: np.uint64, k0: np.uint64, k1: np.uint64) -> Block:
-    p0, p1 = _MULTIPLY_0 * x0, _MULTIPLY_1 * x2
-    return (p1 >> _HALF) ^ x1 ^ k0, p1 & _LOW, (p0 >> _HALF) ^ x3 ^ k1, p0 & _LOW
-
-
-@kernel_part
-def block(k0: np.uint64, k1: np.uint64, counter: np.uint64, lane: np.uint64) -> Block:
+@intrinsic
+def block(typing_context: Any, k0: Any, k1: Any, counter: Any, lane: Any) -> Any:
     """128 random bits, four uint64 below 2³², of counter (64 bits) and lane (32 bits); k0, k1: key, 32 bits each.
 
-    The ten rounds are unrolled because a loop would prevent vectorisation over counters.
+    Instructions of the ten rounds one after another, because a loop would prevent vectorisation over counters.
     """
-    x0, x1, x2, x3 = counter & _LOW, counter >> _HALF, lane, _ZERO
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    k0, k1 = (k0 + _WEYL_0) & _LOW, (k1 + _WEYL_1) & _LOW
-    x0, x1, x2, x3 = _round(x0, x1, x2, x3, k0, k1)
-    return x0, x1, x2, x3
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        def number(value: int) -> Any:
+            return context.get_constant(types.uint64, value)
+
+        def halves(product: Any) -> tuple[Any, Any]:
+            return builder.and_(product, number(_LOW)), builder.lshr(product, number(32))
+
+        k0, k1, counter, lane = arguments
+        (x0, x1), x2, x3 = halves(counter), lane, number(0)
+        for _ in range(_ROUNDS):
+            (low_0, high_0), (low_1, high_1) = (
+                halves(builder.mul(number(by), x)) for by, x in ((_MULTIPLY_0, x0), (_MULTIPLY_1, x2))
+            )
+            x0, x1 = builder.xor(builder.xor(high_1, x1), k0), low_1
+            x2, x3 = builder.xor(builder.xor(high_0, x3), k1), low_0
+            k0, k1 = (halves(builder.add(k, number(weyl)))[0] for k, weyl in ((k0, _WEYL_0), (k1, _WEYL_1)))
+        return context.make_tuple(builder, signature.return_type, (x0, x1, x2, x3))
+
+    return types.UniTuple(types.uint64, 4)(*(types.uint64,) * 4), generate
 
 
 @kernel_part

@@ -24,9 +24,9 @@ import numpy as np
 
 from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_words, upper_quantile
 from simulator.detector.philox import Bits, Key, further_bits
-from simulator.detector.simd import BLOCK, fma, outside
+from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part, pixel_kernel
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""
@@ -42,25 +42,18 @@ _FEW = 256
 _OPEN = np.float32(-1.0)
 _LOWER_HALF, _BELOW_LOWEST = np.uint32(2**31), np.float32(2.0**-32)
 _DECIDE, _ROUNDING = 4096.0, 2.0**40
-_A2, _A3, _A4 = np.float32(0.16666667), np.float32(-0.013889015), np.float32(0.0037486294)
-_A5, _A6, _A7 = np.float32(-0.0011268197), np.float32(0.00015250674), np.float32(-0.0006608383)
-_A8, _A9 = np.float32(0.00054183431), np.float32(-5.8597872e-05)
-_B0, _B1, _B2 = np.float32(0.33333333), np.float32(-0.027776094), np.float32(0.0080365973)
-_B3, _B4, _B5, _B6 = (
-    np.float32(-0.0064341256),
-    np.float32(0.0074305549),
-    np.float32(0.0046913608),
-    np.float32(-0.0045050602),
-)
-_C0, _C1, _C2 = np.float32(-0.0186457), np.float32(0.022937551), np.float32(-0.026661108)
+_A = singles(
+    -5.8597872e-05, 0.00054183431, -0.0006608383, 0.00015250674, -0.0011268197, 0.0037486294, -0.013889015, 0.16666667
+)  # fmt: skip
+_B = singles(-0.0045050602, 0.0046913608, 0.0074305549, -0.0064341256, 0.0080365973, -0.027776094, 0.33333333)
+_C = singles(-0.026661108, 0.022937551, -0.0186457)
+_EXP_MINUS = singles(-1.0 / 5040, 1.0 / 720, -1.0 / 120, 1.0 / 24, -1.0 / 6, 0.5, -1.0, 1.0)
 _LOG2_E, _LN2, _EXPONENT, _BITS = (
     np.float32(1.0 / math.log(2.0)),
     np.float32(math.log(2.0)),
     np.int32(127),
     np.int32(23),
 )
-_E2, _E3, _E4 = np.float32(0.5), np.float32(-1.0 / 6), np.float32(1.0 / 24)
-_E5, _E6, _E7 = np.float32(-1.0 / 120), np.float32(1.0 / 720), np.float32(-1.0 / 5040)
 _ZERO, _ONE, _MOST = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
 _STIRLING = np.array(
     [
@@ -132,9 +125,7 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
         root = np.float32(math.sqrt(rate))
         each = _ONE / root
         s = w * each
-        a = fma(fma(fma(fma(fma(fma(fma(_A9, s, _A8), s, _A7), s, _A6), s, _A5), s, _A4), s, _A3), s, _A2)
-        b = fma(fma(fma(fma(fma(fma(_B6, s, _B5), s, _B4), s, _B3), s, _B2), s, _B1), s, _B0)
-        c = fma(fma(_C2, s, _C1), s, _C0)
+        a, b, c = polynomial(s, _A), polynomial(s, _B), polynomial(s, _C)
         square = each * each
         x = rate + fma(w, fma(w, a, root), fma(c, square, b))
         whole = np.float32(np.floor(x))
@@ -148,8 +139,7 @@ def _exp_minus(rate: np.float32) -> np.float32:
     """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, vectorised."""
     m = np.float32(np.rint(rate * _LOG2_E))
     r = fma(-m, _LN2, rate)
-    poly = fma(fma(fma(fma(fma(fma(_E7, r, _E6), r, _E5), r, _E4), r, _E3), r, _E2), r, -_ONE)
-    power: np.float32 = fma(poly, r, _ONE) * np.int32((_EXPONENT - np.int32(m)) << _BITS).view(np.float32)
+    power: np.float32 = polynomial(r, _EXP_MINUS) * np.int32((_EXPONENT - np.int32(m)) << _BITS).view(np.float32)
     return power
 
 
@@ -182,22 +172,8 @@ def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
         p = _exp_minus(rate)
         u = np.float32(bits[i]) * _BELOW_LOWEST
         c, n, near = p, _ONE if u > p else _ZERO, np.float32(abs(u - p))
-        p, c, n, near = _next(rate, u, 1, p, c, n, near)
-        p, c, n, near = _next(rate, u, 2, p, c, n, near)
-        p, c, n, near = _next(rate, u, 3, p, c, n, near)
-        p, c, n, near = _next(rate, u, 4, p, c, n, near)
-        p, c, n, near = _next(rate, u, 5, p, c, n, near)
-        p, c, n, near = _next(rate, u, 6, p, c, n, near)
-        p, c, n, near = _next(rate, u, 7, p, c, n, near)
-        p, c, n, near = _next(rate, u, 8, p, c, n, near)
-        p, c, n, near = _next(rate, u, 9, p, c, n, near)
-        p, c, n, near = _next(rate, u, 10, p, c, n, near)
-        p, c, n, near = _next(rate, u, 11, p, c, n, near)
-        p, c, n, near = _next(rate, u, 12, p, c, n, near)
-        p, c, n, near = _next(rate, u, 13, p, c, n, near)
-        p, c, n, near = _next(rate, u, 14, p, c, n, near)
-        p, c, n, near = _next(rate, u, 15, p, c, n, near)
-        p, c, n, near = _next(rate, u, 16, p, c, n, near)
+        for k in range(1, LOW_NUMBERS + 1):
+            p, c, n, near = _next(rate, u, k, p, c, n, near)
         found = n if (near > _MARGIN_LOW) & (n <= np.float32(LOW_NUMBERS)) else _OPEN
         number[i] = found if rate < LOWEST else number[i]
 
@@ -244,7 +220,7 @@ def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     return n
 
 
-@kernel
+@pixel_kernel
 def probability(n: float, mean: float) -> float:
     """Poisson probability of n, computed from its distance to the peak to avoid cancellation (Loader 2000)."""
     if n == 0.0:

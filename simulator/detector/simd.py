@@ -1,4 +1,4 @@
-"""Helpers of kernels that the compiler vectorises: fused multiply-add, and the rare-case mask.
+"""Helpers of kernels that the compiler vectorises: fused multiply-add, polynomials, and the rare-case mask.
 
 `fma` rounds a b + c once: polynomials take half the time and give the same result on every machine, unlike with
 optional contraction of products and sums by the compiler.
@@ -14,12 +14,18 @@ from typing import Any
 
 import numpy as np
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 BLOCK = 64
+
+
+def singles(*numbers: float) -> tuple[np.float32, ...]:
+    """Numbers in single precision."""
+    return tuple(np.float32(number) for number in numbers)
 
 
 @intrinsic
@@ -32,7 +38,22 @@ def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float32(types.float32, types.float32, types.float32), generate
 
 
-@kernel
+@intrinsic
+def polynomial(typing_context: Any, x: Any, coefficients: Any) -> Any:
+    """Polynomial of a float32 number by Horner's rule with `fma`; coefficients (N,), float32, of the highest power
+    first."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        argument, terms = arguments
+        value, *rest = cgutils.unpack_tuple(builder, terms)
+        for term in rest:
+            value = builder.fma(value, argument, term)
+        return value
+
+    return types.float32(types.float32, coefficients), generate
+
+
+@pixel_kernel
 def outside(values: NDArray[Any], low: float, high: float) -> int:
     """Number of the values (N,) that are not in low … high; NaN counts as outside."""
     count = np.int32(0)

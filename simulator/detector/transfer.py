@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 _TAIL = 1e-17
 """Trails are truncated below this fraction of a packet."""
@@ -38,13 +38,8 @@ def transfer(electrons: FloatArray, cti_parallel: float, cti_serial: float, corn
     """
     flip_rows, flip_columns = corner.startswith("bottom"), corner.endswith("right")
     seen = electrons[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
-    charge = np.ascontiguousarray(seen)
-    if cti_parallel > 0:
-        charge = trail_rows(charge, late_shares(electrons.shape[0], cti_parallel))
-    if cti_serial > 0:
-        charge = trail_columns(charge, late_shares(electrons.shape[1], cti_serial))
-    if charge is electrons or charge.base is electrons:
-        return electrons.copy()
+    late_rows, late_columns = (late_shares(n, c) for n, c in zip(seen.shape, (cti_parallel, cti_serial), strict=True))
+    charge = trail(np.ascontiguousarray(seen), late_rows, late_columns)
     return np.ascontiguousarray(charge[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
 
 
@@ -67,26 +62,19 @@ def late_shares(pixels: int, cti: float) -> FloatArray:
     return table
 
 
-@kernel
-def trail_rows(electrons: FloatArray, shares: FloatArray) -> FloatArray:
-    """Parallel transfer towards row 0: out[r] = Σₖ shares[k, r − k] electrons[r − k], a new array."""
+@pixel_kernel
+def trail(electrons: FloatArray, late_rows: FloatArray, late_columns: FloatArray) -> FloatArray:
+    """Parallel transfer towards row 0, line[r] = Σₖ late_rows[k, r − k] electrons[r − k], and serial transfer of each
+    line towards column 0, out[r, x] = Σₖ late_columns[k, x − k] line[r, x − k]; a new array."""
     rows, columns = electrons.shape
-    out = np.zeros_like(electrons)
+    out, line = np.zeros_like(electrons), np.empty(columns)
     for row in range(rows):
-        for k in range(min(shares.shape[0], row + 1)):
-            share = shares[k, row - k]
+        line[:] = 0.0
+        for k in range(min(late_rows.shape[0], row + 1)):
+            share = late_rows[k, row - k]
             for column in range(columns):
-                out[row, column] += share * electrons[row - k, column]
-    return out
-
-
-@kernel
-def trail_columns(electrons: FloatArray, shares: FloatArray) -> FloatArray:
-    """Serial transfer towards column 0: out[:, x] = Σₖ shares[k, x − k] electrons[:, x − k], a new array."""
-    rows, columns = electrons.shape
-    out = np.zeros_like(electrons)
-    for row in range(rows):
-        for k in range(min(shares.shape[0], columns)):
+                line[column] += share * electrons[row - k, column]
+        for k in range(min(late_columns.shape[0], columns)):
             for column in range(columns - k):
-                out[row, column + k] += shares[k, column] * electrons[row, column]
+                out[row, column + k] += late_columns[k, column] * line[column]
     return out

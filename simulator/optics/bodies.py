@@ -19,7 +19,7 @@ from simulator.optics.splat import render_stars
 from startracker.arrays import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part, pixel_kernel
 
 CONVOLVED_PX = 256.0
 """Larger disks are rendered without blur: their radius is a hundred times the width of a PSF."""
@@ -87,31 +87,16 @@ def share_before_limb(
         Key of `LAWS`.
     """
     cosine = min(max(2.0 * illuminated_fraction - 1.0, -1.0), 1.0)
-    return float(_share(_SHARE_SAMPLES, cosine, LAWS[law], (offset, curvature, between_rad)))
-
-
-@kernel
-def _share(samples: int, cosine: float, law: int, limb: Limb) -> float:
-    """Kernel of `share_before_limb`: the Sun along +x; lines of samples towards the limb, truncated there."""
-    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    along_x, along_y = math.cos(limb[2]), math.sin(limb[2])
-    whole, free = 0.0, 0.0
-    step = 2.0 / samples
-    for j in range(samples):
-        p = (j + 0.5) * step - 1.0
-        end = limb[0] + 0.5 * limb[1] * p * p
-        for i in range(samples):
-            t = (i + 0.5) * step - 1.0
-            square = 1.0 - t * t - p * p
-            if square <= 0.0:
-                continue
-            mu = math.sqrt(square)
-            mu_0 = (t * along_x - p * along_y) * sine + mu * cosine
-            if mu_0 > 0.0:
-                light = mu_0 if law == LAMBERT else mu_0 / (mu_0 + mu)
-                whole += light
-                free += light * min(max((end - t) / step + 0.5, 0.0), 1.0)
-    return free / whole if whole > 0.0 else 1.0
+    sine = math.sqrt(1.0 - cosine * cosine)
+    step = 2.0 / _SHARE_SAMPLES
+    t = (np.arange(_SHARE_SAMPLES) + 0.5) * step - 1.0  # towards the limb; the Sun is along +x
+    p = t[:, None]
+    mu = np.sqrt(np.maximum(1.0 - t * t - p * p, 0.0))
+    mu_0 = np.maximum((t * math.cos(between_rad) - p * math.sin(between_rad)) * sine + mu * cosine, 0.0) * (mu > 0.0)
+    light = mu_0 if LAWS[law] == LAMBERT else np.divide(mu_0, mu_0 + mu, out=mu_0, where=mu > 0.0)
+    before_limb = np.clip((offset + 0.5 * curvature * p * p - t) / step + 0.5, 0.0, 1.0)
+    whole = float(light.sum())
+    return float((light * before_limb).sum()) / whole if whole > 0.0 else 1.0
 
 
 def sun_angle_rad(camera: Camera, attitude: Attitude, body: ArrayLike, sun: ArrayLike) -> float:
@@ -227,7 +212,7 @@ def _samples(radius_cells: float) -> int:
     return min(max(math.ceil(256.0 / radius_cells), 2), 32)
 
 
-@kernel
+@pixel_kernel
 def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, disk: LitDisk, samples: int) -> None:
     """Kernel: light of a lit sphere with its radii in cells of `image`, sampled at `samples`² points per cell, added
     with `amounts` (K,) at the centres (K, 2)."""

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
 
 
 def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, float], electrons: float) -> None:
@@ -28,40 +27,34 @@ def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, f
     electrons : float
         Electrons of the whole disk over the exposure.
     """
-    x, y = np.asarray(xy, dtype=float)
+    (x, y), (height, width) = np.asarray(xy, dtype=float).tolist(), image.shape
     radius_x, radius_y = (radius_px, radius_px) if isinstance(radius_px, int | float) else radius_px
-    if math.isfinite(x) and math.isfinite(y):
-        add_ellipse(image, float(x), float(y), float(radius_x), float(radius_y), float(electrons))
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return
+    left, right = max(math.ceil(x - radius_x - 0.5), 0), min(math.floor(x + radius_x + 0.5), width - 1)
+    top, bottom = max(math.ceil(y - radius_y - 0.5), 0), min(math.floor(y + radius_y + 0.5), height - 1)
+    if left > right or top > bottom:
+        return
+    columns, rows = np.arange(left, right + 2) - 0.5, np.arange(top, bottom + 2) - 0.5
+    areas = np.diff(np.diff(_corners((columns - x) / radius_x, (rows - y) / radius_y), axis=0), axis=1)
+    image[top : bottom + 1, left : right + 1] += electrons / math.pi * np.maximum(areas, 0.0)  # rounding gives −1e-17
 
 
-@kernel
-def add_ellipse(image: FloatArray, x: float, y: float, radius_x: float, radius_y: float, electrons: float) -> None:
-    """Kernel: exact overlap of an axis-aligned ellipse with each pixel."""
-    height, width = image.shape
-    for j in range(max(math.ceil(y - radius_y - 0.5), 0), min(math.floor(y + radius_y + 0.5), height - 1) + 1):
-        low, high = (j - 0.5 - y) / radius_y, (j + 0.5 - y) / radius_y
-        for i in range(max(math.ceil(x - radius_x - 0.5), 0), min(math.floor(x + radius_x + 0.5), width - 1) + 1):
-            left, right = (i - 0.5 - x) / radius_x, (i + 0.5 - x) / radius_x
-            area = _corner(right, high) - _corner(left, high) - _corner(right, low) + _corner(left, low)
-            image[j, i] += electrons / math.pi * max(area, 0.0)  # rounding can give −1e-17
-
-
-@kernel
-def _corner(x: float, y: float) -> float:
-    """Area of the part of the unit disk with X ≤ x and Y ≤ y."""
-    x, y = min(max(x, -1.0), 1.0), min(max(y, -1.0), 1.0)
-    half_chord = math.sqrt(1.0 - y * y)
+def _corners(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Areas (J, I) of the parts of the unit disk with X ≤ x (I,) and Y ≤ y (J,)."""
+    x, y = np.clip(x, -1.0, 1.0), np.clip(y, -1.0, 1.0)[:, None]
+    half_chord = np.sqrt(1.0 - y * y)
+    until_x, until_chord = _semicircle(x), _semicircle(half_chord)
     # for |X| > half_chord the whole chord of the disk is below y (y > 0) or above it (y < 0)
-    inner = min(max(x, -half_chord), half_chord)
-    area: float = _semicircle(inner) - _semicircle(-half_chord) + y * (inner + half_chord)
-    if y > 0.0:
-        area += 2.0 * (_semicircle(min(x, -half_chord)) - _semicircle(-1.0))
-        area += 2.0 * (_semicircle(max(x, half_chord)) - _semicircle(half_chord))
-    return area
+    inner = (
+        np.clip(until_x, -until_chord, until_chord)
+        + until_chord
+        + y * (np.clip(x, -half_chord, half_chord) + half_chord)
+    )
+    outer = np.minimum(until_x, -until_chord) + math.pi / 4.0 + np.maximum(until_x, until_chord) - until_chord
+    return np.asarray(inner + np.where(y > 0.0, 2.0 * outer, 0.0))
 
 
-@kernel
-def _semicircle(t: float) -> float:
-    """∫ √(1 − t²) dt."""
-    area: float = 0.5 * (t * math.sqrt(max(1.0 - t * t, 0.0)) + math.asin(t))
-    return area
+def _semicircle(t: FloatArray) -> FloatArray:
+    """∫ √(1 − t²) dt from 0, which increases with t."""
+    return np.asarray(0.5 * (t * np.sqrt(np.maximum(1.0 - t * t, 0.0)) + np.arcsin(t)))

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part, pixel_kernel
 
 _PER_UNIT, _END = 16, 6
 """Points per unit, and the argument from which the function is 1 to all digits."""
@@ -46,11 +46,12 @@ def error_function(x: float) -> float:
     return value if x >= 0.0 else -value
 
 
-@kernel
+@pixel_kernel
 def shares_of_pixels(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
     """Kernel: fraction of a Gaussian at `centre` in each of the pixels first … last of a line; `scale` is 1/σ√2."""
-    low = error_function((first - 0.5 - centre) * scale)
-    for i in range(last - first + 1):
-        high = error_function((first + i + 0.5 - centre) * scale)
-        out[i] = 0.5 * (high - low)
+    low = 0.0
+    for i in range(last - first + 2):
+        high = error_function((first + i - 0.5 - centre) * scale)
+        if i > 0:
+            out[i - 1] = 0.5 * (high - low)
         low = high

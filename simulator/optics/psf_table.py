@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from simulator.optics import pupil
 from simulator.optics.pixel_response import transfer
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
 
 TAPS = 4
 """Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is unrolled for four."""
@@ -152,7 +151,7 @@ def join(
         return float(weights @ sums @ weights) / 4.0
 
     if total is not None:
-        far = 1.0 - _fades(r, radius)
+        far = 1.0 - fade(r, radius)
         bent = wing / np.maximum(r, half / 2.0) ** 2
         plain, extra = (beyond(light) + float(np.trapezoid(far * light * area, r)) for light in (wing, bent))
         alpha = (total - held - plain) / extra
@@ -184,36 +183,24 @@ def least_radius(half: int, aspect: float) -> float:
     return math.hypot(half + 1.0, (half + 1.0) / aspect)
 
 
-@kernel
-def fade(r: float, radius: float) -> float:
+def fade(r: FloatArray, radius: float) -> FloatArray:
     """1 to `radius`, 0 from `radius` + `TAPER_PX` on, smooth (3t² − 2t³) between."""
-    t = min(max((radius + TAPER_PX - r) / TAPER_PX, 0.0), 1.0)
-    return t * t * (3.0 - 2.0 * t)
-
-
-def _fades(r: FloatArray, radius: float) -> FloatArray:
     t = np.clip((radius + TAPER_PX - r) / TAPER_PX, 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
-@kernel
 def outside(
     at_px: FloatArray, half: int, wing: FloatArray, wing_per_px: float, row_px: float, radius: float
 ) -> FloatArray:
     """Light of the wings outside the stamp, [b, a], of stars `at_px[a]` right of and `at_px[b]` below its centre."""
-    sums = np.zeros((len(at_px), len(at_px)))
-    reach_x, reach_y = math.ceil(radius + TAPER_PX) + 1, math.ceil((radius + TAPER_PX) / row_px) + 1
-    last = len(wing) - 2
-    for b in range(len(at_px)):
-        for a in range(len(at_px)):
-            total = 0.0
-            for j in range(-reach_y, reach_y + 1):
-                dy = (j - at_px[b]) * row_px
-                for i in range(-reach_x, reach_x + 1):
-                    if abs(i) > half or abs(j) > half:
-                        r = math.sqrt((i - at_px[a]) ** 2 + dy * dy)
-                        position = r * wing_per_px
-                        m = min(int(position), last)
-                        total += fade(r, radius) * (wing[m] + (position - m) * (wing[m + 1] - wing[m]))
-            sums[b, a] = total
+    end_x, end_y = math.ceil(radius + TAPER_PX) + 1, math.ceil((radius + TAPER_PX) / row_px) + 1
+    columns, rows = np.arange(-end_x, end_x + 1), np.arange(-end_y, end_y + 1)
+    beyond = (np.abs(rows) > half)[:, None] | (np.abs(columns) > half)
+    sums = np.empty((len(at_px), len(at_px)))
+    for b, y in enumerate(at_px):
+        for a, x in enumerate(at_px):
+            r = np.hypot((columns - x), ((rows - y) * row_px)[:, None])[beyond]
+            position = r * wing_per_px
+            m = np.minimum(position.astype(np.int64), len(wing) - 2)
+            sums[b, a] = np.sum(fade(r, radius) * (wing[m] + (position - m) * (wing[m + 1] - wing[m])))
     return sums

@@ -22,6 +22,7 @@ DEFAULT_MARGIN_PX = 64.0
 """Paths are computed this far outside the image because of the wings of the PSF."""
 
 _MAX_PANEL = 128
+_UNIT = np.eye(3)
 
 
 def exposure_nodes(
@@ -106,13 +107,12 @@ def star_paths(
     streak_px = longest_path_px(camera, directions, turn, limit_rad)
     if jitter is None:
         nodes, weights = exposure_nodes(streak_px, feature_px)
-        xy = _turning_positions(directions, turn, nodes / 2.0, math.cos(limit_rad), camera.image_map)
-        return np.asarray(xy), weights
-    wander_px = wander_length_px(camera, jitter, exposure_s, limit_rad)
-    nodes, weights = exposure_nodes(streak_px + wander_px, feature_px, jitter.max_hz * exposure_s)
-    shaking = rotation_matrices(-jitter.at(nodes * exposure_s / 2.0))
-    vectors = _turned(directions, shaking @ _rotations(turn, nodes / 2.0), math.cos(limit_rad))
-    return camera.project(vectors).reshape(-1, len(nodes), 2), weights
+        rotations = turning(turn, nodes / 2.0)
+    else:
+        wander_px = wander_length_px(camera, jitter, exposure_s, limit_rad)
+        nodes, weights = exposure_nodes(streak_px + wander_px, feature_px, jitter.max_hz * exposure_s)
+        rotations = rotation_matrices(-jitter.at(nodes * exposure_s / 2.0)) @ turning(turn, nodes / 2.0)
+    return np.asarray(_positions(directions, rotations, math.cos(limit_rad), camera.image_map)), weights
 
 
 def path_limit_rad(camera: Camera, margin_px: float) -> float:
@@ -139,7 +139,7 @@ def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, li
         return 0.0
     # for a rotation by θ a chord is shorter than its arc by θ²/24: few are sufficient for most exposures
     chords = min(math.ceil(angle / math.radians(0.1)), 8) + math.ceil(angle / math.radians(5.0))
-    return float(_longest(_turning_positions(directions, turn, _ends(chords), math.cos(limit_rad), camera.image_map)))
+    return _longest(_positions(directions, turning(turn, _ends(chords)), math.cos(limit_rad), camera.image_map))
 
 
 @functools.lru_cache(maxsize=64)
@@ -148,46 +148,37 @@ def _ends(chords: int) -> FloatArray:
     return np.arange(-chords, chords + 1, 2) / (2.0 * chords)
 
 
-@kernel
 def _longest(xy: FloatArray) -> float:
-    """Kernel: length of the longest of paths (N, K, 2); chords from or to a NaN do not count."""
-    longest = 0.0
-    for n in range(len(xy)):
-        length = 0.0
-        for k in range(xy.shape[1] - 1):
-            dx, dy = xy[n, k + 1, 0] - xy[n, k, 0], xy[n, k + 1, 1] - xy[n, k, 1]
-            chord = math.sqrt(dx * dx + dy * dy)
-            if not math.isnan(chord):
-                length += chord
-        longest = max(longest, length)
-    return longest
+    """Length of the longest of paths (N, K, 2); chords from or to a NaN do not count."""
+    steps = xy[:, 1:] - xy[:, :-1]
+    chords = np.hypot(steps[..., 0], steps[..., 1])
+    return float(np.fmax(chords, 0.0).sum(axis=1).max(initial=0.0))
 
 
 @kernel
-def _turning_positions(
-    directions: FloatArray, turn: FloatArray, moments: FloatArray, least_z: float, image: ImageMap
-) -> FloatArray:
-    """Kernel: pixels (N, K, 2) of `_turned` by the rotation vectors `moments` (K,) × `turn`."""
-    vectors = _turned(directions, _rotations(turn, moments), least_z)
-    positions: FloatArray = to_pixels(vectors, image).reshape(len(directions), len(moments), 2)
+def _positions(directions: FloatArray, rotations: FloatArray, least_z: float, image: ImageMap) -> FloatArray:
+    """Kernel: pixels (N, K, 2) of directions (N, 3) rotated by each matrix (K, 3, 3); NaN where z is below
+    `least_z`."""
+    vectors = np.empty((len(directions) * len(rotations), 3))
+    for n in range(len(directions)):
+        for k in range(len(rotations)):
+            i = n * len(rotations) + k
+            for axis in range(3):
+                row = rotations[k, axis]
+                vectors[i, axis] = row[0] * directions[n, 0] + row[1] * directions[n, 1] + row[2] * directions[n, 2]
+            if vectors[i, 2] < least_z:
+                vectors[i] = np.nan
+    positions: FloatArray = to_pixels(vectors, image).reshape(len(directions), len(rotations), 2)
     return positions
 
 
-@kernel
-def _turned(directions: FloatArray, rotations: FloatArray, least_z: float) -> FloatArray:
-    """Kernel: directions (N, 3) rotated by each matrix (K, 3, 3), (N K, 3); NaN where z is below `least_z`."""
-    out = np.empty((len(directions) * len(rotations), 3))
-    for n in range(len(directions)):
-        x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
-        for k in range(len(rotations)):
-            i, m = n * len(rotations) + k, rotations[k]
-            out[i, 2] = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z
-            if out[i, 2] < least_z:
-                out[i, :] = np.nan
-                continue
-            out[i, 0] = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z
-            out[i, 1] = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z
-    return out
+def turning(turn: FloatArray, moments: FloatArray) -> FloatArray:
+    """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` (K,) × `turn`."""
+    x, y, z = turn.tolist()
+    angle = math.hypot(x, y, z) or 1.0
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
+    half = (0.5 * angle * moments)[:, None, None]
+    return np.asarray(_UNIT + np.sin(2.0 * half) * cross + 2.0 * np.sin(half) ** 2 * (cross @ cross))
 
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
@@ -198,19 +189,3 @@ def rotation_matrices(vectors: FloatArray) -> FloatArray:
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
     sine, versine = np.sinc(angle / np.pi), 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
-
-
-@kernel
-def _rotations(turn: FloatArray, moments: FloatArray) -> FloatArray:
-    """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` × `turn`."""
-    out = np.zeros((len(moments), 3, 3))
-    angle = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
-    x, y, z = (turn[0] / angle, turn[1] / angle, turn[2] / angle) if angle > 0.0 else (0.0, 0.0, 0.0)
-    for k in range(len(moments)):
-        sine, versine = math.sin(angle * moments[k]), 2.0 * math.sin(0.5 * angle * moments[k]) ** 2
-        out[k, 0, 0], out[k, 0, 1] = 1.0 - versine * (y * y + z * z), versine * x * y - sine * z
-        out[k, 0, 2], out[k, 1, 2] = versine * x * z + sine * y, versine * y * z - sine * x
-        out[k, 1, 0], out[k, 1, 1] = versine * x * y + sine * z, 1.0 - versine * (x * x + z * z)
-        out[k, 2, 0], out[k, 2, 1] = versine * x * z - sine * y, versine * y * z + sine * x
-        out[k, 2, 2] = 1.0 - versine * (x * x + y * y)
-    return out

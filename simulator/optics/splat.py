@@ -13,7 +13,7 @@ from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 
 def render_stars(
@@ -67,7 +67,7 @@ def add_stars(image: FloatArray, xy: FloatArray, weights: FloatArray, electrons:
         add_tabulated(image, _Stars(xy, weights, electrons, radius, whole), psf.core, psf.phases, wings)
 
 
-@kernel
+@pixel_kernel
 def add_gaussians(
     image: FloatArray,
     xy: FloatArray,
@@ -125,7 +125,7 @@ class _Work(NamedTuple):
     """A row of the wings, and the sum of their rows."""
 
 
-@kernel
+@pixel_kernel
 def add_tabulated(
     image: FloatArray, stars: _Stars, core: NDArray[np.float64] | NDArray[np.float32], phases: int, wings: Wings
 ) -> None:
@@ -190,7 +190,7 @@ def _add_moments(moments: FloatArray, dx: float, dy: float, amount: float) -> No
     moments[5] += amount * dy * dy
 
 
-@kernel
+@pixel_kernel
 def _add_pixel(
     image: FloatArray, work: _Work, pixel: tuple[int, int], radius: float, whole: float, wings: Wings
 ) -> None:

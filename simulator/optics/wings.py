@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulator.optics.psf_table import TAPER_PX, fade
+from simulator.optics.psf_table import TAPER_PX
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part
 
 
 class Wings(NamedTuple):
@@ -113,10 +113,11 @@ def _fill_line(
     if abs(dy) < radius:
         full = math.sqrt(max(radius * radius - dy * dy, 0.0))
         inner_left, inner_right = math.ceil(x - full), math.floor(x + full)
-    _wing_rim(line, first, min(inner_left - 1, gap[0] - 1, last), star, radius, amount, share, per_px)
-    _wing_row(line, max(inner_left, first), min(gap[0] - 1, last), star, amount, share, per_px)
-    _wing_row(line, max(gap[1] + 1, first), min(inner_right, last), star, amount, share, per_px)
-    _wing_rim(line, max(inner_right + 1, gap[1] + 1, first), last, star, radius, amount, share, per_px)
+    for side in range(2):
+        begin, end = (first, min(gap[0] - 1, last)) if side == 0 else (max(gap[1] + 1, first), last)
+        rim_begin, rim_end = (begin, min(inner_left - 1, end)) if side == 0 else (max(inner_right + 1, begin), end)
+        _wing_rim(line, rim_begin, rim_end, star, radius, amount, share, per_px)
+        _wing_row(line, max(inner_left, begin), min(inner_right, end), star, amount, share, per_px)
 
 
 @kernel_part
@@ -143,7 +144,7 @@ def _add_line(
         sums[i] += line[i]
 
 
-@kernel
+@kernel_part
 def _wing_row(
     line: FloatArray,
     left: int,
@@ -166,7 +167,7 @@ def _wing_row(
         pixels[i] = amount * (low + (position - np.int32(position)) * (share[m + np.uint32(1)] - low))
 
 
-@kernel
+@kernel_part
 def _wing_rim(
     line: FloatArray,
     left: int,
@@ -183,4 +184,5 @@ def _wing_rim(
         r = math.sqrt((i - star[0]) * (i - star[0]) + star[1] * star[1])
         position = r * per_px
         m = min(int(position), last)
-        line[i] = amount * fade(r, radius) * (share[m] + (position - m) * (share[m + 1] - share[m]))
+        t = min(max((radius + TAPER_PX - r) / TAPER_PX, 0.0), 1.0)  # as in `simulator.optics.psf_table.fade`
+        line[i] = amount * (t * t * (3.0 - 2.0 * t)) * (share[m] + (position - m) * (share[m + 1] - share[m]))

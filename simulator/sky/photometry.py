@@ -13,9 +13,8 @@ from simulator.optics.curves import Curve
 from simulator.sky.albedo import body_photons
 from simulator.sky.colours import population_giant_share
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA, Spectrum
-from startracker.arrays import FloatArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.registry import lookup
 
 _Tables = tuple[FloatArray, FloatArray, FloatArray]
@@ -208,52 +207,39 @@ def _spectral_integrals(spectrum: Spectrum, wavelength_nm: bytes, kernels: bytes
 
 def _looked_up(tables: _Tables, b_v: ArrayLike, giant: ArrayLike | None) -> FloatArray:
     """Tables (dwarfs, giants, late giants; each (M,) or (M, K)) at stars (N,): (N,) or (N, K)."""
+    dwarfs, giants, late = tables
     colour = np.asarray(b_v, dtype=float)
     share = np.asarray(math.nan if giant is None else giant, dtype=float)
     if colour.shape != share.shape:
-        colour, share = (np.array(column) for column in np.broadcast_arrays(colour, share))
-    tail = tables[0].shape[1:]
-    flat = [table.reshape(len(table), -1) for table in tables]
-    out = np.empty((colour.size, flat[0].shape[1]))
+        colour, share = np.broadcast_arrays(colour, share)
+    colour = np.where(np.isnan(colour), DEFAULT_B_V, colour)
     unknown = np.isnan(share)
     if unknown.any():
-        known_colour = np.where(np.isnan(colour), DEFAULT_B_V, colour)
-        share = np.where(unknown, population_giant_share(known_colour), share)
-    _look_up(out, colour.ravel(), share.ravel(), *flat)
-    return out.reshape(colour.shape + tail)
+        share = np.where(unknown, population_giant_share(colour), share)
+    clipped = np.minimum(np.maximum(colour, B_V_RANGE[0]), B_V_RANGE[1])
+    at = _rows((clipped - B_V_RANGE[0]) / _B_V_STEP, dwarfs)
+    of_giants = np.minimum(np.maximum(share, 0.0), 1.0).reshape(at[1].shape)
+    out = np.asarray(_between(dwarfs, *at) * (1.0 - of_giants) + _between(giants, *at) * of_giants)
+    is_late = share >= LATE_GIANT[0]
+    if is_late.any():
+        out[is_late] = _between(late, *_rows((share[is_late] - LATE_GIANT[0]) / _LATE_STEP, late))
+    return out
 
 
 _B_V_STEP, _LATE_STEP = float(_B_V_GRID[1] - _B_V_GRID[0]), float(_LATE_GRID[1] - _LATE_GRID[0])
 
 
-@kernel
-def _look_up(
-    out: FloatArray, b_v: FloatArray, giant: FloatArray, dwarfs: FloatArray, giants: FloatArray, late: FloatArray
-) -> None:
-    """Kernel: the tables (M, K) at the colours and classes of stars (N,), see `Photometer`, into `out` (N, K)."""
-    for n in range(len(b_v)):
-        colour, share = b_v[n], giant[n]
-        if math.isnan(colour):
-            colour = DEFAULT_B_V
-        colour = min(max(colour, B_V_RANGE[0]), B_V_RANGE[1])
-        if share >= LATE_GIANT[0]:
-            row, part = _place((share - LATE_GIANT[0]) / _LATE_STEP, len(late))
-            for k in range(out.shape[1]):
-                out[n, k] = late[row, k] * (1.0 - part) + late[row + 1, k] * part
-            continue
-        row, part = _place((colour - B_V_RANGE[0]) / _B_V_STEP, len(dwarfs))
-        share = min(max(share, 0.0), 1.0)
-        for k in range(out.shape[1]):
-            dwarf = dwarfs[row, k] * (1.0 - part) + dwarfs[row + 1, k] * part
-            out[n, k] = dwarf * (1.0 - share) + (giants[row, k] * (1.0 - part) + giants[row + 1, k] * part) * share
+def _rows(at: FloatArray, table: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Rows of a uniform table (M,) or (M, K) below positions (N,) in units of rows, clipped at the ends, and the
+    remaining fractions, (N,) or (N, 1)."""
+    at = np.minimum(np.maximum(at, 0.0), len(table) - 1.0)
+    row = np.minimum(at.astype(np.int64), len(table) - 2)
+    return row, (at - row).reshape(at.shape + (1,) * (table.ndim - 1))
 
 
-@kernel
-def _place(at: float, rows: int) -> tuple[int, float]:
-    """Row of a uniform table below a position in units of rows, and the remaining fraction; clipped at the ends."""
-    at = min(max(at, 0.0), rows - 1.0)
-    row = min(int(at), rows - 2)
-    return row, at - row
+def _between(table: FloatArray, row: IntArray, part: FloatArray) -> FloatArray:
+    """Linear interpolation between the rows of a table."""
+    return np.asarray(table[row] * (1.0 - part) + table[row + 1] * part)
 
 
 def _sampled(response: Curve) -> tuple[FloatArray, FloatArray]:

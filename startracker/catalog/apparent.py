@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
+from startracker.observer import aberrated
 
 
-@kernel
+@pixel_kernel
 def apparent_directions(
     start: FloatArray, motion: FloatArray, parallax: FloatArray, years: float, position_au: FloatArray, beta: FloatArray
 ) -> FloatArray:
@@ -32,17 +31,11 @@ def apparent_directions(
         aberration).
     """
     out = np.empty((start.shape[1], 3))
-    vx, vy, vz = beta[0], beta[1], beta[2]
-    inverse_gamma = math.sqrt(1.0 - vx * vx - vy * vy - vz * vz)
-    ahead = 1.0 / (1.0 + inverse_gamma)
+    velocity = (beta[0], beta[1], beta[2])
     for i in range(start.shape[1]):
         p = parallax[i]
         x = start[0, i] + years * motion[0, i] - p * position_au[0]
         y = start[1, i] + years * motion[1, i] - p * position_au[1]
         z = start[2, i] + years * motion[2, i] - p * position_au[2]
-        # aberration of a vector of any length: a unit vector u becomes a vector of length 1 + u·β
-        length, along = math.sqrt(x * x + y * y + z * z), x * vx + y * vy + z * vz
-        shrink = 1.0 / (length + along)
-        forward, kept = (length + along * ahead) * shrink, inverse_gamma * shrink
-        out[i, 0], out[i, 1], out[i, 2] = x * kept + vx * forward, y * kept + vy * forward, z * kept + vz * forward
+        out[i, 0], out[i, 1], out[i, 2] = aberrated(x, y, z, velocity)
     return out

@@ -17,7 +17,7 @@ _STEEP = 0.05
 """Slope from which Newton's method is tried without a bracket."""
 _NEAR = 1e-6
 """From there its next step, the last one, ends within 1e-11."""
-_GUESSES, _STEP_PX = 9, 0.125
+GUESSES, _STEP_PX = 9, 0.125
 _FLAT = 1e-6
 """Slope of the mean against the centre below which the window no longer determines the position."""
 _NO_LIGHT = 1e-280
@@ -114,23 +114,22 @@ def invert_from(guess: float, moment: float, sigma: float, low: int, high: int) 
     return centre, 1.0 / slope, light
 
 
-@kernel
-def centres_of_means(sigma: float, half: int) -> FloatArray:
-    """Means over a whole window of Gaussians that many eighths of a pixel off its middle, and d(centre)/d(mean)."""
-    out = np.empty((_GUESSES, 2))
-    for k in range(_GUESSES):
+@kernel_part
+def fill_centres(sigma: float, half: int, table: FloatArray) -> None:
+    """Means over a whole window of Gaussians that many eighths of a pixel off its middle, and d(centre)/d(mean), to
+    `table` (`GUESSES`, 2)."""
+    for k in range(GUESSES):
         _light, mean, _variance, slope, _a, _b, _c = window_moments(k * _STEP_PX, sigma, -half, half)
-        out[k, 0], out[k, 1] = mean, 1.0 / slope
-    return out
+        table[k, 0], table[k, 1] = mean, 1.0 / slope
 
 
 @kernel_part
 def guess_centre(moment: float, table: FloatArray) -> float:
-    """Centre by cubic interpolation in a table of `centres_of_means`, to some 1e-6 px; beyond it the moment."""
+    """Centre by cubic interpolation in a table of `fill_centres`, to some 1e-6 px; beyond it the moment."""
     mean, k = abs(moment), 0
-    while k < _GUESSES - 1 and not mean < table[k + 1, 0]:
+    while k < GUESSES - 1 and not mean < table[k + 1, 0]:
         k += 1
-    if k == _GUESSES - 1:
+    if k == GUESSES - 1:
         return moment
     span = table[k + 1, 0] - table[k, 0]
     t = (mean - table[k, 0]) / span

@@ -18,7 +18,6 @@ from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
-from startracker.sorting import median
 
 MODEL_STARS = 9
 """Brightest clean stars from which the star image is measured."""
@@ -81,10 +80,8 @@ def measure_psf_sigma(image: Image, background: Background, spots: Spots, window
 
 
 def _widths(frame: Prepared, spots: Spots) -> tuple[float, float]:
-    found: tuple[float, float] = frame_widths(
-        frame.pixels, spots.x_peak, spots.y_peak, spots.saturated | spots.edge, frame.half
-    )
-    return (_UNKNOWN_SIGMA_PX, _UNKNOWN_SIGMA_PX) if math.isnan(found[0]) else found
+    along_x, along_y = frame_widths(frame.pixels, spots.x_peak, spots.y_peak, spots.saturated | spots.edge, frame.half)
+    return (_UNKNOWN_SIGMA_PX, _UNKNOWN_SIGMA_PX) if math.isnan(along_x) else (along_x, along_y)
 
 
 @kernel
@@ -158,5 +155,5 @@ def _covariances(
 def _gain_from_background(background: Background) -> float:
     """Electrons a DN as if the background's noise were its photon noise; an offset in the level makes it too large."""
     planes = background.level_plane, background.noise_plane
-    level, noise = (float(median(sample_plane(plane, 16, 16).astype(np.float64))) for plane in planes)
+    level, noise = (float(np.median(sample_plane(plane, 16, 16).astype(np.float64))) for plane in planes)
     return max(level, noise) / noise**2

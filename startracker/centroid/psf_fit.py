@@ -212,23 +212,27 @@ def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[flo
     return psf, starts._replace(half=np.minimum(half + starts.half, reach))
 
 
-@kernel
 def _start_values(pixels: Pixels, peaks: Peaks, moments: FloatArray) -> Starts:
     """Approximate positions; half widths that are the radii of flat tops in whole pixels alone."""
-    count = len(moments)
-    xs, ys = moments[:, 0].copy(), moments[:, 1].copy()
-    flat, ceilings = np.zeros(count, np.int64), np.full(count, np.inf)
-    for n in range(count):
+    x, y = moments[:, :2].T.copy()
+    starts = Starts(x, y, np.zeros(len(x), np.int64), np.full(len(x), np.inf))
+    _fill_starts(pixels, peaks, starts)
+    return starts
+
+
+@kernel
+def _fill_starts(pixels: Pixels, peaks: Peaks, starts: Starts) -> None:
+    """Replaces unusable moments by the brightest pixels; radii and ceilings of flat tops."""
+    for n in range(len(starts.x)):
         x, y = peaks.x[n], peaks.y[n]
-        off = max(abs(xs[n] - x), abs(ys[n] - y))
+        off = max(abs(starts.x[n] - x), abs(starts.y[n] - y))
         # a moment that neighbours have drawn off is no start
-        if not math.isfinite(xs[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
-            xs[n], ys[n] = x, y
+        if not math.isfinite(starts.x[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
+            starts.x[n], starts.y[n] = x, y
         if peaks.saturated[n]:
-            flat[n] = math.ceil(math.sqrt(peaks.pixels[n] / math.pi))
+            starts.half[n] = math.ceil(math.sqrt(peaks.pixels[n] / math.pi))
             sky = np.float64(pixels.level[y, x])
-            ceilings[n] = sky + _CEILING_SHARE * (np.float64(pixels.image[y, x]) - sky)
-    return Starts(xs, ys, flat, ceilings)
+            starts.ceiling[n] = sky + _CEILING_SHARE * (np.float64(pixels.image[y, x]) - sky)
 
 
 def _widths(psf: PsfModel) -> tuple[float, float]:

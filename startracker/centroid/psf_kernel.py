@@ -54,29 +54,31 @@ class Starts(NamedTuple):
     ceiling: FloatArray
 
 
-@kernel
-def group_stars(x: FloatArray, y: FloatArray, reach: FloatArray) -> IntArray:
+def group_stars(x: FloatArray, y: FloatArray, reach: IntArray) -> IntArray:
     """Number of the group of each star: chains of stars nearer than `reach` of either, on both axes.
 
     A chain of more than `MOST_TOGETHER` is cut.
     """
-    n = len(x)
-    group = np.arange(n)
-    members = np.ones(n, np.int64)
-    for i in range(n):
+    group = np.arange(len(x))
+    _join(x, y, reach, group, np.ones(len(x), np.int64))
+    return group
+
+
+@kernel
+def _join(x: FloatArray, y: FloatArray, reach: IntArray, group: IntArray, members: IntArray) -> None:
+    """Joins the groups of `group_stars`, at first of one star each."""
+    for i in range(len(x)):
         for j in range(i):
             near = max(reach[i], reach[j])
             if abs(x[i] - x[j]) <= near and abs(y[i] - y[j]) <= near and group[i] != group[j]:
                 keep, drop = group[j], group[i]
                 if members[keep] + members[drop] <= MOST_TOGETHER:
                     members[keep] += members[drop]
-                    for k in range(n):
+                    for k in range(len(x)):
                         if group[k] == drop:
                             group[k] = keep
-    return group
 
 
-@kernel
 def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, reweigh: bool) -> FloatArray:
     """Fits (N, 9), see `FITTED`, of stars whose approximate positions are given; NaN where a fit fails,
     but for the last two columns of a star that is fitted alone.
@@ -88,24 +90,8 @@ def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, rew
     reweigh : bool
         True: variances follow the model (Fisher scoring); False: they stay those of the model in the third step.
     """
-    count = len(group)
-    out = np.full((count, FITTED), np.nan)
-    first, following = np.full(count, -1), np.empty(count, np.int64)
-    for n in range(count - 1, -1, -1):
-        following[n] = first[group[n]]
-        first[group[n]] = n
-    members, space = np.empty(count, np.int64), _space(0, 0)
-    for lowest in first:
-        together, n = 0, lowest
-        while n >= 0:
-            members[together] = n
-            together, n = together + 1, following[n]
-        if not together:
-            continue
-        box = _bounds(starts, members[:together], pixels.image.shape)
-        if len(space.normal) < 3 * together or space.pixels.shape[1] < max(box[2] * box[3], 8):
-            space = _space(together, max(box[2] * box[3], 8))
-        _fit_group(pixels, psf, starts, members[:together], box, reweigh, space, out)
+    out = np.full((len(group), FITTED), np.nan)
+    _fit_groups(pixels, psf, starts, group, np.argsort(group, kind="stable"), reweigh, _NO_SPACE, out)
     return out
 
 
@@ -118,10 +104,28 @@ class _Space(NamedTuple):
     at: FloatArray
 
 
+_NO_SPACE = _Space(*[np.empty((0, 0))] * 4)
+
+
 @kernel
-def _space(stars: int, pixels: int) -> _Space:
-    size = 3 * stars
-    return _Space(np.empty((11 + size, pixels)), np.empty((size, size)), np.empty((2, size)), np.empty((3, stars)))
+def _fit_groups(
+    pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, order: IntArray, reweigh: bool, space: _Space,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Fills the rows of `fit_stars`; `order` takes the stars group by group. The working space grows as needed."""
+    first = 0
+    while first < len(order):
+        last = first + 1
+        while last < len(order) and group[order[last]] == group[order[first]]:
+            last += 1
+        members, size = order[first:last], 3 * (last - first)
+        box = _bounds(starts, members, pixels.image.shape)
+        count = max(box[2] * box[3], 8)
+        if len(space.normal) < size or space.pixels.shape[1] < count:
+            normal, at = np.empty((size, size)), np.empty((3, last - first))
+            space = _Space(np.empty((11 + size, count)), normal, np.empty((2, size)), at)
+        _fit_group(pixels, psf, starts, members, box, reweigh, space, out)
+        first = last
 
 
 @kernel_part

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.sorting import median
+from startracker.sorting import finite_medians
 
 Shape: TypeAlias = tuple[float, float, float]
 
@@ -32,47 +32,57 @@ _STREAK_RATIO = 1.5
 """Ratio of the axes from which a line is tried instead of an ellipse."""
 
 
-@kernel
+class _Space(NamedTuple):
+    """Working space of `fit_gaussians` for windows of N pixels, W wide."""
+
+    pixels: FloatArray
+    """(4, N)."""
+    slopes: FloatArray
+    """(6, N)."""
+    factors: FloatArray
+    """(6, 3 W)."""
+    normal: FloatArray
+    """(6, 6)."""
+    right: FloatArray
+    """(6,)."""
+
+
 def fit_gaussians(pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape) -> Shape:
     """Median variances along x and y and covariance, px², of pixel-integrated Gaussians fitted to stars; NaN: none.
 
     Gauss-Newton in x, y, ln(flux), xx, yy, xy, weighted with the noise of the model; `shape` is the start.
     """
-    found, count = np.empty((3, len(stars))), 0
-    work, slopes = np.empty((4, (2 * half + 1) ** 2)), np.empty((6, (2 * half + 1) ** 2))
-    factors = np.empty((3 + len(_NODES), len(_NODES) * (2 * half + 1)))
-    for n in stars:
-        xx, yy, xy = _fit_gaussian(pixels, starts.x[n], starts.y[n], half, shape, work, slopes, factors)
-        if math.isfinite(xx):
-            found[0, count], found[1, count], found[2, count] = xx, yy, xy
-            count += 1
-    if count == 0:
-        return np.nan, np.nan, np.nan
-    return median(found[0, :count]), median(found[1, :count]), median(found[2, :count])
+    side, found = 2 * half + 1, np.full((len(stars), 3), np.nan)
+    factors = np.empty((3 + len(_NODES), len(_NODES) * side))
+    space = _Space(np.empty((4, side**2)), np.empty((6, side**2)), factors, np.empty((6, 6)), np.empty(6))
+    _fit_gaussians(pixels, starts, stars, half, shape, space, found)
+    xx, yy, xy = finite_medians(found)
+    return xx, yy, xy
+
+
+@kernel
+def _fit_gaussians(
+    pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape, space: _Space, found: FloatArray
+) -> None:
+    """Fills the shapes (N, 3) of stars, as far as they can be fitted."""
+    for n in range(len(stars)):
+        _fit_gaussian(pixels, starts.x[stars[n]], starts.y[stars[n]], half, shape, space, found[n])
 
 
 @kernel_part
 def _fit_gaussian(
-    pixels: Pixels,
-    x: float,
-    y: float,
-    half: int,
-    shape: Shape,
-    work: FloatArray,
-    slopes: FloatArray,
-    factors: FloatArray,
-) -> Shape:
-    """Shape of one star; `work` (4, W²), `slopes` (6, W²) and `factors` (6, 3 W) are working space."""
+    pixels: Pixels, x: float, y: float, half: int, shape: Shape, space: _Space, found: FloatArray
+) -> None:
+    """Fills the shape of one star, if it can be fitted."""
     height, width = pixels.image.shape
-    (a, b, c), cx, cy, flux, failed = shape, round(x), round(y), -1.0, (np.nan, np.nan, np.nan)
+    (a, b, c), cx, cy, flux = shape, round(x), round(y), -1.0
     left, top = max(cx - half, 0), max(cy - half, 0)
     wide, high = min(cx + half + 1, width) - left, min(cy + half + 1, height) - top
-    count = wide * high
+    count, work, slopes, normal, right = wide * high, space.pixels, space.slopes, space.normal, space.right
     signal, dark, weights, residuals = work[0, :count], work[1, :count], work[2, :count], work[3, :count]
     read_pixels(pixels, left, top, wide, high, np.inf, signal, dark)
-    normal, right = np.zeros((6, 6)), np.empty(6)
     for _ in range(_STEPS):
-        _gaussian_slopes((left - x, top - y), wide, high, (a, b, c), slopes, factors)
+        _gaussian_slopes((left - x, top - y), wide, high, (a, b, c), slopes, space.factors)
         above, below = 0.0, 0.0
         for n in range(count):
             light = flux * slopes[2, n] if flux > 0.0 else max(signal[n], 0.0)
@@ -83,7 +93,7 @@ def _fit_gaussian(
         if flux <= 0.0:
             flux = above / below
             if not flux > 0.0:
-                return failed
+                return
             continue
         # a loop: for the error that an array expression may raise, numba compiles its text, which takes seconds
         for m in range(6):
@@ -95,21 +105,21 @@ def _fit_gaussian(
             if not normal[m, m] > 0.0:
                 normal[m, m] = 1.0
         if not factorise(normal, 6):
-            return failed
+            return
         substitute(normal, 6, right)
         largest = 0.0
         for k in range(6):
             largest = max(largest, abs(right[k])) if math.isfinite(right[k]) else np.inf
         if not math.isfinite(largest):
-            return failed
+            return
         short = min(1.0, 0.4 * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
         x, y, flux = x + short * right[0], y + short * right[1], flux * math.exp(short * right[2])
         a, b, c = a + short * right[3], b + short * right[4], c + short * right[5]
         if not (a * b - c * c > 1e-4 and a > 0.0 and abs(x - cx) < half and abs(y - cy) < half):
-            return failed
+            return
         if largest < _CONVERGED:
-            return a, b, c
-    return failed
+            found[0], found[1], found[2] = a, b, c
+            return
 
 
 @kernel_part

@@ -73,8 +73,9 @@ def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: F
         return
     share_x, slope_x, share_y, slope_y = lines[0], lines[1], lines[2], lines[3]
     for term in range(0, len(axes), 2):
-        _along(axes[term], oversampling, first_x, wide, weights[0], share_x, slope_x)
-        _along(axes[term + 1], oversampling, first_y, high, weights[1], share_y, slope_y)
+        for axis in range(2):
+            first, count = (first_y, high) if axis else (first_x, wide)
+            _along(axes[term + axis], oversampling, first, count, weights[axis], lines[2 * axis], lines[2 * axis + 1])
         n = np.uint64(0)
         for j in range(high):
             s, t = share_y[j], slope_y[j]
@@ -87,7 +88,7 @@ def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: F
                 n += np.uint64(1)
 
 
-@kernel
+@kernel_part
 def _along(
     axis: FloatArray,
     oversampling: int,

@@ -193,7 +193,6 @@ def _equations_of_star(
     return True
 
 
-@kernel
 def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: int, shape: Shape) -> FloatArray:
     """Take the shift against stars of `REFERENCE_CONTRAST` off the positions of fits; the rest as a covariance.
 
@@ -218,10 +217,21 @@ def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: 
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     if not middle - spread > _NARROWEST or middle + spread > _LONGEST * (middle - spread):
         return common
-    stars = brightest_alone(table[:, 0], table[:, 1], table[:, 2], unfit, _LOOKED_AT)
+    x, y, flux = np.ascontiguousarray(table[:, :3].T)  # as columns the kernel would be compiled once more
+    stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT)
+    _correct(pixels, table, stars, unfit, half, shape, common)
+    return common
+
+
+@kernel
+def _correct(
+    pixels: Pixels, table: FloatArray, stars: IntArray, unfit: BoolArray, half: int, shape: Shape, common: FloatArray
+) -> None:
+    """Corrects the table of `correct_skewness` by the skewness of some of its stars, and adds to the covariance."""
     mean, covariance, chi2, dark = common_skewness(pixels, table, stars, half, shape)
     if not chi2 > _LEAST_CHI2:
-        return common
+        return
+    xx, yy, xy = shape
     kept, inverse_gain = 1.0 - (_LEAST_CHI2 / chi2) ** 2, pixels.inverse_gain
     peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     at_reference = REFERENCE_CONTRAST * dark / (inverse_gain * peak) if inverse_gain > 0.0 else 0.0
@@ -240,4 +250,3 @@ def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: 
                 for m in range(_CUMULANTS):
                     square = kept * covariance[k, m] + kept * kept * mean[k] * mean[m]
                     common[a, b] += reference[a, k] * square * reference[b, m]
-    return common

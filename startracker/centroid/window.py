@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import BoolArray, FloatArray, IntArray
-from startracker.centroid.bias import centres_of_means, guess_centre, invert_from, invert_moments, window_moments
+from startracker.centroid.bias import GUESSES, fill_centres, guess_centre, invert_from, invert_moments, window_moments
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_part
-from startracker.sorting import median
+from startracker.sorting import finite_medians
 
 FloatImage = NDArray[np.float32]
 
@@ -150,30 +150,27 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
     )
 
 
-@kernel
-def frame_widths(pixels: Pixels, xs: IntArray, ys: IntArray, unfit: BoolArray, half: int) -> tuple[float, float]:
+def frame_widths(pixels: Pixels, xs: IntArray, ys: IntArray, unfit: BoolArray, half: int) -> tuple[float, ...]:
     """Median Gaussian widths along x and y of the brightest clean stars, of which the brightest pixels are given.
 
     Each axis on its own: mean and variance of the marginal over the window, inverted for centre and width. NaN where no
     window determines them.
     """
-    widths, count, looked_at = np.empty((2, _WIDTH_STARS)), 0, 0
+    clean = (~unfit).nonzero()[0][:_WIDTH_STARS]
+    widths = np.full((len(clean), 2), np.nan)
+    _fill_widths(pixels, xs[clean], ys[clean], half, widths)
+    return finite_medians(widths)
+
+
+@kernel
+def _fill_widths(pixels: Pixels, xs: IntArray, ys: IntArray, half: int, widths: FloatArray) -> None:
+    """Widths (N, 2) of stars, as far as their windows determine them."""
     for n in range(len(xs)):
-        if unfit[n] or looked_at == _WIDTH_STARS:
-            continue
-        looked_at += 1
         w = read_window(pixels, xs[n], ys[n], half)
-        if not w[0] > 0.0:
-            continue
         for axis in range(2):
-            widths[axis, count] = np.nan
-            if abs(w[1 + axis]) < half and w[3 + axis] > 0.0:
+            if w[0] > 0.0 and abs(w[1 + axis]) < half and w[3 + axis] > 0.0:
                 low, high = int(w[8 + 2 * axis]), int(w[9 + 2 * axis])
-                widths[axis, count] = invert_moments(w[1 + axis], w[3 + axis], low, high)[1]
-        count += int(math.isfinite(widths[0, count] + widths[1, count]))
-    if count == 0:
-        return np.nan, np.nan
-    return median(widths[0, :count]), median(widths[1, :count])
+                widths[n, axis] = invert_moments(w[1 + axis], w[3 + axis], low, high)[1]
 
 
 @kernel_part
@@ -191,16 +188,6 @@ def _recentred(pixels: Pixels, x: int, y: int, half: int) -> tuple[int, int]:
     return x, y
 
 
-@kernel_part
-def _centre(
-    moment: float, sigma: float, low: int, high: int, half: int, centres: FloatArray
-) -> tuple[float, float, float]:
-    """Centre of a moment, see `invert_from`; for a whole window from the table, so that the first step is the last."""
-    guess = guess_centre(moment, centres) if low == -half and high == half else moment
-    centre, slope, light = invert_from(guess, moment, sigma, low, high)
-    return centre, slope, light
-
-
 def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma_y: float, correct: bool) -> FloatArray:
     """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where no star image is found.
 
@@ -211,30 +198,30 @@ def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma
     correct : bool
         Whether to take the bias off; the flux is corrected for the window either way.
     """
-    out = np.empty((len(peaks.x), MEASURED))
-    _measure(pixels, peaks, half, (sigma_x, sigma_y), correct, out)
+    out = np.full((len(peaks.x), MEASURED), np.nan)
+    _measure(pixels, peaks, half, (sigma_x, sigma_y), correct, np.empty((2, GUESSES, 2)), np.empty((2, 3)), out)
     return out
 
 
 @kernel
 def _measure(
-    pixels: Pixels, peaks: Peaks, half: int, sigma: tuple[float, float], correct: bool, out: FloatArray
-) -> None:
-    """Rows of `measure_stars`."""
-    centres = centres_of_means(sigma[0], half), centres_of_means(sigma[1], half)
+    pixels: Pixels, peaks: Peaks, half: int, sigma: tuple[float, float], correct: bool, centres: FloatArray,
+    axes: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fills the rows of `measure_stars`; `centres` (2, `GUESSES`, 2) and `axes` (2, 3) are working space."""
+    for axis in range(2):
+        fill_centres(sigma[axis], half, centres[axis])
     limit = max(sigma[0], sigma[1], 1.0) ** 2
     for index in range(len(out)):
         row = out[index]
-        for k in range(MEASURED):
-            row[k] = np.nan
         if peaks.saturated[index]:
             _measure_flat_top(pixels, peaks, index, half, row)
             continue
-        _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, row)
-        # known no better than a star image, or a pixel, is wide: it is not a star image
-        wide = row[3] > limit or row[4] > limit
-        for k in range(MEASURED):
-            row[k] = np.nan if wide else row[k]
+        _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, axes, row)
+        if row[3] > limit or row[4] > limit:
+            # known no better than a star image, or a pixel, is wide: it is not a star image
+            for k in range(MEASURED):
+                row[k] = np.nan
 
 
 @kernel_part
@@ -255,41 +242,40 @@ def _measure_flat_top(pixels: Pixels, peaks: Peaks, index: int, half: int, out: 
 
 @kernel_part
 def _measure_star(
-    pixels: Pixels,
-    x: int,
-    y: int,
-    half: int,
-    sigma: tuple[float, float],
-    correct: bool,
-    centres: tuple[FloatArray, FloatArray],
-    out: FloatArray,
-) -> None:
-    """Row of a star by its corrected moment, the window moved until its middle pixel holds the centre."""
+    pixels: Pixels, x: int, y: int, half: int, sigma: tuple[float, float], correct: bool, centres: FloatArray,
+    axes: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Row of a star by its corrected moment, the window moved until its middle pixel holds the centre.
+
+    A row of `axes` gets the centre along an axis, d(centre)/d(moment) and the share of the light in the window.
+    """
     height, width = pixels.image.shape
     for attempt in range(_RECENTRINGS):
         w = read_window(pixels, x, y, half)
         if not w[0] > 0.0:
             return
-        if correct:
-            dx, slope_x, light_x = _centre(w[1], sigma[0], int(w[8]), int(w[9]), half, centres[0])
-            dy, slope_y, light_y = _centre(w[2], sigma[1], int(w[10]), int(w[11]), half, centres[1])
-        else:
-            dx, dy = w[1], w[2]
-            slope_x = slope_y = 1.0
-            light_x = window_moments(dx, sigma[0], int(w[8]), int(w[9]))[0]
-            light_y = window_moments(dy, sigma[1], int(w[10]), int(w[11]))[0]
-        x_next = min(max(x + round(min(max(dx, -half), half)), 0), width - 1)
-        y_next = min(max(y + round(min(max(dy, -half), half)), 0), height - 1)
+        for axis in range(2):
+            moment, low, high = w[1 + axis], int(w[8 + 2 * axis]), int(w[9 + 2 * axis])
+            if correct:
+                # of a whole window from the table, so that the first step is the last
+                guess = guess_centre(moment, centres[axis]) if low == -half and high == half else moment
+                axes[axis, 0], axes[axis, 1], axes[axis, 2] = invert_from(guess, moment, sigma[axis], low, high)
+            else:
+                axes[axis, 0], axes[axis, 1] = moment, 1.0
+                axes[axis, 2] = window_moments(moment, sigma[axis], low, high)[0]
+        x_next = min(max(x + round(min(max(axes[0, 0], -half), half)), 0), width - 1)
+        y_next = min(max(y + round(min(max(axes[1, 0], -half), half)), 0), height - 1)
         if x_next == x and y_next == y:
             break
         if attempt < _RECENTRINGS - 1:
             x, y = x_next, y_next
-    if not (math.isfinite(slope_x) and math.isfinite(slope_y)):
+    if not math.isfinite(axes[0, 1] + axes[1, 1]):
         return
-    out[0], out[1], out[2] = x + dx, y + dy, w[0] / max(light_x * light_y, 0.05)
-    # light that stays within one pixel says little of where, but never less than that it is this pixel
-    if sigma[0] < _WITHIN_PIXEL:
-        slope_x = min(slope_x, math.sqrt(1.0 + _PIXEL_VARIANCE / w[5]))
-    if sigma[1] < _WITHIN_PIXEL:
-        slope_y = min(slope_y, math.sqrt(1.0 + _PIXEL_VARIANCE / w[6]))
+    for axis in range(2):
+        # light that stays within one pixel says little of where, but never less than that it is this pixel
+        if sigma[axis] < _WITHIN_PIXEL:
+            axes[axis, 1] = min(axes[axis, 1], math.sqrt(1.0 + _PIXEL_VARIANCE / w[5 + axis]))
+    slope_x, slope_y = axes[0, 1], axes[1, 1]
+    out[0], out[1] = x + axes[0, 0], y + axes[1, 0]
+    out[2] = w[0] / max(axes[0, 2] * axes[1, 2], 0.05)
     out[3], out[4], out[5] = w[5] * slope_x**2, w[6] * slope_y**2, w[7] * slope_x * slope_y

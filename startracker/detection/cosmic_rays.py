@@ -32,8 +32,7 @@ from startracker.detection.thresholds import (
     WIDEST_TRACK_PX2,
     WIDTH_SNR,
 )
-from startracker.kernels import kernel, kernel_part
-from startracker.sorting import sort
+from startracker.kernels import kernel_part
 
 FloatImage = NDArray[np.float32]
 
@@ -58,27 +57,20 @@ class Sharpness(NamedTuple):
     """Shapes (N, 5) of the sources measured under it so far; NaN for the others."""
 
 
-@kernel
 def common_width(variance: FloatArray) -> float:
     """The variance that most values share, to a factor 1.3 either way; NaN for none.
 
     Cosmic rays scatter over all widths, stars agree: so stars are found among more cosmic rays than stars, where a
     median fails. Of equal numbers the wider counts.
     """
-    values, count = np.empty(len(variance)), 0
-    for value in variance:
-        values[count] = value
-        count += int(0.0 < value < np.inf)
-    sort(values[:count])
-    first = last = low = high = most = 0
-    for k in range(count):
-        while values[first] < values[k] / COMMON_WIDTH_RATIO:
-            first += 1
-        while last < count and values[last] <= values[k] * COMMON_WIDTH_RATIO:
-            last += 1
-        if last - first >= most:
-            most, low, high = last - first, first, last - 1
-    return float(0.5 * (values[(low + high) // 2] + values[(low + high + 1) // 2])) if count else math.nan
+    values = np.sort(variance[(variance > 0.0) & (variance < np.inf)])
+    if not len(values):
+        return math.nan
+    first = values.searchsorted(values / COMMON_WIDTH_RATIO, "left")
+    last = values.searchsorted(values * COMMON_WIDTH_RATIO, "right") - 1
+    widest = len(values) - 1 - (last - first)[::-1].argmax()
+    middle = first[widest] + last[widest]
+    return float(0.5 * (values[middle // 2] + values[(middle + 1) // 2]))
 
 
 def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: int) -> Sharpness:

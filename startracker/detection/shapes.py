@@ -10,7 +10,7 @@ import numpy as np
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part, pixel_kernel
 
 SHAPE_COLUMNS = 5
 """Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
@@ -85,7 +85,7 @@ def _read_window(
     return plain, highest
 
 
-@kernel
+@pixel_kernel
 def _measure(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight: Weight, shapes: FloatArray) -> None:
     """Shapes (N, 5) of candidates at pixels x, y (N, 2): see `measure_shapes`."""
     w, centred = weight.variance, weight.centred

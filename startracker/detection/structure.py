@@ -11,9 +11,9 @@ from startracker.arrays import FloatArray
 from startracker.detection.background import Background, noise_floor
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES
-from startracker.detection.tiles import interpolate_tiles, select_kth, smooth_tiles, tile_statistics
+from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel
+from startracker.kernels import pixel_kernel
 
 FloatImage = NDArray[np.float32]
 
@@ -39,7 +39,7 @@ def has_structure(image: Image, background: Background) -> bool:
     return bool(_is_quiet(image, background.noise_plane))
 
 
-@kernel
+@pixel_kernel
 def _is_quiet(image: Image, noise: Plane) -> bool:
     """Whether the robust standard deviation of the differences of a thousand pixels, in units of the background's
     noise, is below the limit in both directions, and not zero in one: the medians are compared by counting."""
@@ -91,7 +91,7 @@ def follow_structure(image: Image, tile_px: int = 64) -> Background:
     return Background(plane, interpolate_tiles(np.maximum(smooth_tiles(noise), floor), height, width, False))
 
 
-@kernel
+@pixel_kernel
 def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
     """Mean of each of rows × columns bins without its highest and its lowest pixel; NaN of no pixel."""
     height, width = image.shape
@@ -114,21 +114,10 @@ def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
 
 def _medians(bins: FloatArray) -> FloatArray:
     """Medians of 5 × 5; outside, the map goes on point-symmetrically about its border, so that a slope stays one."""
+    from scipy import ndimage
+
     reach = min(_REACH_BINS, min(bins.shape) - 1)
     padded = np.pad(bins, reach, mode="reflect", reflect_type="odd") if reach > 0 else bins
-    return np.asarray(_median_filter(padded.astype(np.float32), reach))
-
-
-@kernel
-def _median_filter(padded: FloatImage, reach: int) -> FloatArray:
-    height, width, side = padded.shape[0] - 2 * reach, padded.shape[1] - 2 * reach, 2 * reach + 1
-    out, sample = np.empty((height, width)), np.empty(side * side, np.float32)
-    for y in range(height):
-        for x in range(width):
-            n = 0
-            for j in range(side):
-                for i in range(side):
-                    sample[n] = padded[y + j, x + i]
-                    n += 1
-            out[y, x] = select_kth(sample, 0, n, n // 2)
-    return out
+    side, (height, width) = 2 * reach + 1, bins.shape
+    filtered = ndimage.median_filter(padded.astype(np.float32), side)[reach : reach + height, reach : reach + width]
+    return np.asarray(filtered, dtype=np.float64)

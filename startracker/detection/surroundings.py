@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from startracker.arrays import IntArray
 from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
-from startracker.detection.tiles import select_kth
 from startracker.kernels import kernel_part
+from startracker.sorting import ranked
 
 _RING_PX = 8
 _GAP_PX = 2
@@ -150,5 +150,5 @@ def _is_exceeded(
         below += sample[k] < limit
     if below <= taken // 2:
         return False
-    median = select_kth(sample, 0, taken, taken // 2)
+    median = ranked(sample[:taken], taken // 2)[0]
     return bool(np.float64(height) - median < isolation * (np.float64(fourth) - median))

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel_part, kernel_with, pixel_kernel
+from startracker.sorting import ranked
 
 Tile = tuple[int, int, int, int]
 """First row, last row + 1, first column, last column + 1."""
 _SAMPLES = 400
-_QUANTILE = 0.841345
-"""One standard deviation above the mean of a normal distribution."""
+_QUANTILES = (0.5, 0.841345)
+"""Median, and one standard deviation above the mean of a normal distribution."""
 _CLIP = 3.0
 _CLIPPINGS = 3
 _ROUNDING = 1.0 / math.sqrt(12.0)
@@ -30,34 +31,6 @@ _LARGEST_WHOLE = 2.0**31
 _FEW_VALUES = 64
 _CLIPPED_STD = 0.98658
 """Standard deviation of a unit normal distribution cut at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
-
-
-@kernel
-def select_kth(values: NDArray[np.float32], start: int, stop: int, k: int) -> float:
-    """Value at index k if values[start:stop] were sorted; reorders them, none before k larger (Hoare 1961)."""
-    left, right = start, stop - 1
-    while left < right:
-        # median of three keeps sorted and constant tiles from going quadratic
-        middle = (left + right) // 2
-        a, b, c = values[left], values[middle], values[right]
-        pivot = max(min(a, b), min(max(a, b), c))
-        i, j = left, right
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if k <= j:
-            right = j
-        elif k >= i:
-            left = i
-        else:
-            break
-    return float(values[k])
 
 
 def whole_step(values: NDArray[Any]) -> int:
@@ -79,7 +52,7 @@ def whole_step(values: NDArray[Any]) -> int:
     return max(step, 1)
 
 
-@kernel
+@kernel_part
 def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
     """Value at index k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
 
@@ -110,8 +83,7 @@ def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near:
     return np.nan
 
 
-# whole numbers, and what lies on a lattice, have the same sums in any order
-@kernel_with(fastmath={"reassoc", "nsz"})
+@kernel_part
 def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width: float) -> tuple[float, float, int]:
     """Mean and standard deviation of the values within a half width of a centre, and how many these are."""
     total, squares, n = 0.0, 0.0, 0
@@ -162,17 +134,18 @@ def tile_statistics(image: Image, rows: int, columns: int, step: float) -> Float
     stride = max(1, tile_rows * tile_columns // _SAMPLES)
     sample = np.empty(tile_rows * tile_columns // stride + 2 * tile_rows + 2, np.float32)
     statistics = np.full((2, rows, columns), np.nan)
-    _fill_statistics(image, stride, step, sample, statistics)
+    _fill_statistics(image, stride, step, sample, np.full(len(_QUANTILES), np.nan), statistics)
     return statistics
 
 
-@kernel
+# whole numbers, and what lies on a lattice, have the same sums in any order
+@kernel_with(fastmath={"reassoc", "nsz"})
 def _fill_statistics(
-    image: Image, stride: int, step: float, sample: NDArray[np.float32], statistics: FloatArray
+    image: Image, stride: int, step: float, sample: NDArray[np.float32], quantiles: FloatArray, statistics: FloatArray
 ) -> None:
+    """Fills the statistics of `tile_statistics`; `quantiles` is working space, of NaN at first."""
     height, width = image.shape
     rows, columns = statistics.shape[1], statistics.shape[2]
-    median = upper = np.nan
     for tile_row in range(rows):
         y0, y1 = tile_row * height // rows, (tile_row + 1) * height // rows
         for tile_column in range(columns):
@@ -180,15 +153,15 @@ def _fill_statistics(
             count = _take_sample(image, (y0, y1, x0, x1), stride, sample)
             if count == 0:
                 continue
-            half, high = count // 2, int(_QUANTILE * count)
-            if step > 0.0:
-                median = find_kth(sample, count, half, step, median)
-                upper = find_kth(sample, count, high, step, upper)
-            if not step > 0.0 or math.isnan(median) or math.isnan(upper):
-                median = select_kth(sample, 0, count, half)
-                # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again
-                upper = select_kth(sample, half, count, high)
-            mean, std, before = median, upper - median, -1
+            for k in range(len(_QUANTILES)):
+                rank = int(_QUANTILES[k] * count)
+                if step > 0.0:
+                    quantiles[k] = find_kth(sample, count, rank, step, quantiles[k])
+                if not step > 0.0 or math.isnan(quantiles[k]):
+                    quantiles[k] = ranked(sample[:count], rank)[0]
+            # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again
+            median, before = quantiles[0], -1
+            mean, std = median, quantiles[1] - median
             for _ in range(_CLIPPINGS):
                 mean, std, kept = _clipped(sample, count, median, _clip(std, step))
                 std /= _CLIPPED_STD
@@ -206,7 +179,7 @@ def smooth_tiles(tiles: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@pixel_kernel
 def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
     rows, columns = tiles.shape[1], tiles.shape[2]
     for n in range(len(tiles)):
@@ -262,7 +235,7 @@ def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: b
     return Plane(lines, cell, share.astype(np.float32))
 
 
-@kernel
+@pixel_kernel
 def _interpolate(tiles: FloatArray, first: NDArray[np.int64], share: FloatArray, lines: NDArray[np.float32]) -> None:
     for r in range(len(tiles)):
         for cell in range(len(first) - 1):

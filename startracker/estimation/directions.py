@@ -13,14 +13,14 @@ import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.linalg import cross, inverse, transform, turned
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 _STEPS, _SETTLED_RAD = 12, 1e-9
 _LARGEST_TURN_RAD = 0.1
 """Maximum deviation of a fit from the attitude of two stars, beyond which it does not contain them."""
 
 
-@kernel
+@kernel_part
 def focal_slopes(vectors: FloatArray) -> FloatArray:
     """∂b/∂ln f (N, 3) of unit vectors (N, 3) in the frame of a pinhole camera."""
     out = np.empty_like(vectors)
@@ -94,15 +94,18 @@ def fit_turn(
     `start` (3,) is the initial value; for other parameters see `normal_equations`. The covariance is NaN if stars and
     `precision` do not determine the rotation.
     """
-    turn, predicted, change = start.copy(), np.empty_like(reference), np.empty(3)
-    matrix, covariance, information = np.eye(3), precision, precision
+    turn, predicted, change = np.empty(3), np.empty_like(reference), np.empty(3)
+    matrix, total, covariance, information = np.zeros((3, 3)), np.empty((3, 3)), precision, precision
+    for i in range(3):
+        turn[i], matrix[i, i] = start[i], 1.0
     for _ in range(_STEPS):
         transform(turned(matrix, turn[0], turn[1], turn[2]), reference, predicted)
         information, right = normal_equations(observed, observed, predicted, index, sigma, 3)
-        covariance, _ = inverse(information + precision, 3)
         for i in range(3):
             for j in range(3):
+                total[i, j] = information[i, j] + precision[i, j]
                 right[i] -= precision[i, j] * turn[j]
+        covariance, _ = inverse(total, 3)
         largest = 0.0
         for i in range(3):
             change[i] = covariance[i, 0] * right[0] + covariance[i, 1] * right[1] + covariance[i, 2] * right[2]
@@ -134,7 +137,7 @@ def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@kernel_part
 def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> FloatArray:
     """Rotation (3, 3) that maps reference star `first` to its image, and the great circle to `second` to that of its
     image."""
@@ -164,9 +167,9 @@ def fit_pairs(
     """
     count, farthest, least = len(pairs), 0, 2.0
     seen, known, moved = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
-    index, error = np.arange(count), np.empty(count)
+    index, error = np.empty(count, np.int64), np.empty(count)
     for n in range(count):
-        error[n], cosine = sigma[pairs[n, 0]], 0.0
+        index[n], error[n], cosine = n, sigma[pairs[n, 0]], 0.0
         for k in range(3):
             seen[n, k], known[n, k] = directions[pairs[n, 0], k], guides[pairs[n, 1], k]
             cosine += seen[n, k] * seen[0, k]

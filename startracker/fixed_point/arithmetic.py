@@ -28,7 +28,6 @@ from startracker.fixed_point.formats import (
 from startracker.fixed_point.square_root import separation, square_root
 from startracker.fixed_point.tables import quadrant_table
 from startracker.fixed_point.vectors import DIRECTION
-from startracker.kernels import kernel
 
 SCALE = Format(12, 20)
 """Degrees per pixel: with 20 fraction bits eight of the ten separations of Table 4.17 are exact to the last bit."""
@@ -193,28 +192,13 @@ def _direction(y: Integers, x: Integers) -> Integers:
 
     The table is entered with the smaller component over the length, where its resolution is fine; 0 for a zero vector.
     """
-    along, across = np.abs(x) >> _VECTOR_SHIFT, np.abs(y) >> _VECTOR_SHIFT
+    right, along, across = 90 << _ANGLE_BITS, np.abs(x) >> _VECTOR_SHIFT, np.abs(y) >> _VECTOR_SHIFT
     length = square_root(along * along + across * across)
-    return np.asarray(_quadrants(y.ravel(), x.ravel(), length.ravel(), quadrant_table())).reshape(y.shape)
-
-
-@kernel
-def _quadrants(y: Integers, x: Integers, length: Integers, arccosine: Integers) -> Integers:
-    right, out = 90 << _ANGLE_BITS, np.zeros_like(y)
-    for n in range(len(y)):
-        along, across = abs(x[n]) >> _VECTOR_SHIFT, abs(y[n]) >> _VECTOR_SHIFT
-        angle = 0
-        if length[n] > 0:
-            if along >= across:
-                angle = right - arccosine[(across << _COSINE_BITS) // length[n]]
-            else:
-                angle = arccosine[(along << _COSINE_BITS) // length[n]]
-        if x[n] < 0:
-            angle = 2 * right - angle
-        if y[n] < 0:
-            angle = 4 * right - angle
-        out[n] = angle % (4 * right)
-    return out
+    angle = quadrant_table()[(np.minimum(along, across) << _COSINE_BITS) // np.maximum(length, 1)]
+    angle = np.where(along >= across, right - angle, angle)
+    angle = np.where(length > 0, angle, 0)
+    angle = np.where(x < 0, 2 * right - angle, angle)
+    return np.asarray(np.where(y < 0, 4 * right - angle, angle) % (4 * right))
 
 
 def vector_separations(a: Integers, b: Integers, format: Format) -> Integers:

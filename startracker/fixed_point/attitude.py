@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from startracker.fixed_point.cordic import angles_deg
 from startracker.fixed_point.formats import CENTROID, FixedPointOverflow, Integers, divide, integers
 from startracker.fixed_point.square_root import square_root
-from startracker.fixed_point.vectors import DIRECTION, cross, normalize
+from startracker.fixed_point.vectors import DIRECTION, cross, normalized
 
 MAX_STARS = 16
 """Sums of products would overflow for more."""
@@ -148,13 +148,14 @@ def unit(vector: ArrayLike) -> Integers:
     NotSolved
         If the vector is too short.
     """
-    v = integers(vector).copy()
+    v = integers(vector)
     largest = int(np.abs(v).max())
     if largest >= 1 << 36:
         raise FixedPointOverflow("length of a vector", largest, "36 bits")
-    if not normalize(v, _LEAST_LENGTH):
+    found = normalized(v, _LEAST_LENGTH)
+    if found is None:
         raise NotSolved("the directions cancel, so that their mean is undefined")
-    return v
+    return found
 
 
 def _axes(center: Integers, smallest: int) -> tuple[Integers, Integers]:
@@ -162,9 +163,8 @@ def _axes(center: Integers, smallest: int) -> tuple[Integers, Integers]:
     `smallest`."""
     first = -((int(center[smallest]) * center) >> 30)
     first[smallest] += DIRECTION.one
-    first, second = unit(first), np.empty(3, np.int64)
-    cross(center, first, second)
-    return first, second
+    first = unit(first)
+    return first, cross(center, first)
 
 
 def _standard(sky: Integers, east: Integers, north: Integers, center: Integers) -> Integers:

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.formats import CENTROID, Format, Integers, integers
-from startracker.kernels import kernel
 
 _SIGNAL = Format(32, 0)
 
@@ -37,17 +36,11 @@ def running_centroid(x: ArrayLike, y: ArrayLike, signal: ArrayLike) -> Integers:
         raise ValueError("the first pixel of a cluster must have a signal, and no signal may be negative")
     _SIGNAL.check(dn.sum(), "sum of the signals")
     points = np.stack([CENTROID.from_integer(integers(x)), CENTROID.from_integer(integers(y))], axis=1)
-    return np.asarray(_mean(points, dn))
-
-
-@kernel
-def _mean(points: Integers, signal: Integers) -> Integers:
-    centre = np.zeros(2, np.int64)
-    total = np.int64(0)
-    for n in range(len(signal)):
-        total += signal[n]
+    centre, total = [0, 0], 0
+    for point, added in zip(points.tolist(), dn.tolist(), strict=True):
+        total += added
         for axis in range(2):
-            moment = centre[axis] * (total - signal[n]) + points[n, axis] * signal[n]
+            moment = centre[axis] * (total - added) + point[axis] * added
             quotient = abs(moment) // total
             centre[axis] = quotient if moment >= 0 else -quotient
-    return centre
+    return np.array(centre)

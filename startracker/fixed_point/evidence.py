@@ -75,7 +75,7 @@ class Tables(NamedTuple):
     """log₂ of the minimum factor that is accepted, rounded up."""
 
 
-@kernel
+@kernel_part
 def log2(n: int, table: Integers) -> int:
     """log₂ of n ≥ 1, rounded down."""
     bits, m = 0, n
@@ -87,7 +87,7 @@ def log2(n: int, table: Integers) -> int:
     return value
 
 
-@kernel
+@kernel_part
 def log_sum(a: int, b: int, table: Integers) -> int:
     """log₂(2ᵃ + 2ᵇ), rounded down."""
     high, low = max(a, b), min(a, b)

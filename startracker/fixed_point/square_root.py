@@ -7,17 +7,16 @@ from numpy.typing import ArrayLike
 
 from startracker.fixed_point.formats import COSINE, SEPARATION, Integers, check_product, integers
 from startracker.fixed_point.tables import arccosine_table, cosine_table
-from startracker.kernels import kernel
 
 CROSSOVER = 11929
 """11.65° in 6.10: below it Pythagoras' theorem is more accurate than the tables; see `separation`."""
 
 
 def square_root(value: ArrayLike) -> Integers:
-    """⌊√n⌋ of integers 0 ≤ n < 2⁶² by the Newton–Raphson iteration x ← (x + n/x)/2.
+    """⌊√n⌋ of integers 0 ≤ n < 2⁶²: the root of the nearest double, which is at most one off, and then exact.
 
-    Started at a power of two not below the root, the iteration decreases monotonically to the exact root. The root of a
-    number of format M.N is the integer root of the number times 2ᴺ.
+    The C export iterates x ← (x + n/x)/2 (Newton–Raphson) to the same root. The root of a number of format M.N is the
+    integer root of the number times 2ᴺ.
 
     Raises
     ------
@@ -27,30 +26,14 @@ def square_root(value: ArrayLike) -> Integers:
     n = integers(value)
     if n.size and (n.min() < 0 or n.max() >= 1 << 62):
         raise ValueError("square roots need integers from 0 to below 2**62")
-    return np.asarray(_roots(n.ravel())).reshape(n.shape)
+    return rooted(n)
 
 
-@kernel
-def root(n: int) -> int:
-    """`square_root` of one number."""
-    if n == 0:
-        return 0
-    x, left = 1, n
-    while left > 0:  # a power of two of half the length, rounded up
-        x, left = x << 1, left >> 2
-    while True:
-        lower = (x + n // x) >> 1
-        if lower >= x:
-            return x
-        x = lower
-
-
-@kernel
-def _roots(numbers: Integers) -> Integers:
-    out = np.zeros_like(numbers)
-    for k in range(len(numbers)):
-        out[k] = root(numbers[k])
-    return out
+def rooted(n: Integers) -> Integers:
+    """⌊√n⌋ of integers from 0 to below 2⁶³, without a check."""
+    root = np.sqrt(n).astype(np.int64)
+    root -= root * root > n
+    return np.asarray(root + ((root + 1) * (root + 1) <= n))
 
 
 def by_pythagoras(chi: ArrayLike, psi: ArrayLike) -> Integers:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.fixed_point.formats import ANGLE, COSINE, SEPARATION, Format, Integers, integers
-from startracker.kernels import kernel
 
 
 @lru_cache
@@ -90,29 +89,16 @@ def enclosed_table(vectors: ArrayLike, first: ArrayLike, second: ArrayLike) -> E
     return EnclosedTable(stars, ANGLE.encode(degrees))
 
 
-@kernel
 def _triangles(first: Integers, second: Integers, count: int) -> Integers:
     """Triangles (T, 3), ascending, from pairs sorted by first and then second star."""
     start = np.searchsorted(first, np.arange(count + 1))
-    found = 0
-    out = np.empty((0, 3), np.int64)
-    for step in range(2):
-        if step == 1:
-            out = np.empty((found, 3), np.int64)
-            found = 0
-        for n in range(len(first)):
-            i, j = first[n], second[n]
-            p, q = start[i], start[j]
-            while p < start[i + 1] and q < start[j + 1]:
-                if second[p] == second[q]:
-                    if step == 1:
-                        out[found] = i, j, second[p]
-                    found += 1
-                if second[p] <= second[q]:
-                    p += 1
-                else:
-                    q += 1
-    return out
+    # each pair i < j is continued by the pairs j < k, one after the other
+    many = start[second + 1] - start[second]
+    pair = np.repeat(np.arange(len(first)), many)
+    further = np.arange(len(pair)) - np.repeat(np.cumsum(many) - many - start[second], many)
+    stars = np.stack([first[pair], second[pair], second[further]], axis=1)
+    closed = np.isin(stars[:, 0] * count + stars[:, 2], first * count + second)
+    return stars[closed]
 
 
 def _frozen(table: Integers) -> Integers:

@@ -15,7 +15,7 @@ import numpy as np
 
 from startracker.fixed_point.evidence import NEVER, PLANE_BITS, Tables, spans, weigh
 from startracker.fixed_point.formats import Integers
-from startracker.fixed_point.vectors import cross, dot, normalize, quotient
+from startracker.fixed_point.vectors import dot, normalize, quotient
 from startracker.kernels import kernel, kernel_part
 
 FEW_FIT, NOT_SPREAD, FIT = 0, 1, 2
@@ -51,12 +51,14 @@ def _turn(matrix: Integers, x: int, y: int, z: int) -> bool:
         first[k] -= (along * third[k]) >> 30
     if not normalize(first, _LEAST_LENGTH):
         return False
-    matrix[0], matrix[2] = first, third
-    cross(third, first, matrix[1])
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        matrix[0, k], matrix[2, k] = first[k], third[k]
+        matrix[1, k] = (third[i] * first[j] - third[j] * first[i]) >> 30
     return True
 
 
-@kernel
+@kernel_part
 def _predict(matrix: Integers, guide: Integers, focal: int, out: Integers) -> bool:
     """Position (2,) of a guide star in the plane; False if it is 45° or more off-axis in x or y."""
     u, v, w = dot(matrix[0], guide), dot(matrix[1], guide), dot(matrix[2], guide)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from startracker.arrays import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
+from startracker.fixed_point.vectors import cross, normalized
 from startracker.flight.apparent import FlightObserver
 from startracker.flight.evidence import LOG_UP, Sight, log_down, log_sum_up
-from startracker.flight.integers import cross, normalized
 from startracker.flight.search_plan import Search
 from startracker.flight.search_tables import DIRECTION_BITS, SearchTables
 from startracker.flight.verifying import Verified, verify

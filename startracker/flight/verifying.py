@@ -15,11 +15,11 @@ import numpy as np
 
 from startracker.arrays import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
-from startracker.fixed_point.vectors import quotient
+from startracker.fixed_point.vectors import cross, quotient
 from startracker.flight.apparent import FlightObserver, apparent
 from startracker.flight.directions import turned
 from startracker.flight.evidence import LOG_UP, Match, Sight, log_down, weigh
-from startracker.flight.integers import cross, shifted
+from startracker.flight.integers import shifted
 from startracker.flight.search_tables import QUADRANT, SQUARE_BITS, SearchTables
 from startracker.identification.verification import MOST_EXTRA
 

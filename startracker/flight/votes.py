@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import IntArray
+from startracker.fixed_point.square_root import rooted
 from startracker.flight.evidence import Sight
-from startracker.flight.integers import rooted
 from startracker.flight.search_plan import Search
 from startracker.flight.search_tables import SearchTables
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.display import changed_fields
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx
     return out
 
 
-@kernel
+@kernel_part
 def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) -> tuple[float, float, bool]:
     """Newton's method from (x, y); false if it reaches the fold of the lens model or does not converge."""
     for _ in range(50):
@@ -143,18 +143,16 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     fold2 = _fold_radius2(k)
     out = np.empty_like(xy)
     for i in range(xy.shape[0]):
-        xd, yd = xy[i, 0], xy[i, 1]
-        x, y, converged = _undistort_point(xd, yd, xd, yd, k)
-        if not converged or x * x + y * y > fold2:
-            x, y, converged = 0.0, 0.0, True
-            step = 1
-            while converged and step <= steps:
-                x, y, converged = _undistort_point(xd * step / steps, yd * step / steps, x, y, k)
-                step += 1
-        if converged and x * x + y * y <= fold2:
-            out[i, 0], out[i, 1] = x, y
-        else:
-            out[i, 0], out[i, 1] = np.nan, np.nan
+        x, y, inside = xy[i, 0], xy[i, 1], False
+        for step in range(steps + 1):  # the first from the distorted point, the others from the centre
+            share = step / steps if step > 0 else 1.0
+            x, y, converged = _undistort_point(xy[i, 0] * share, xy[i, 1] * share, x, y, k)
+            inside = converged and x * x + y * y <= fold2
+            if step == 0 and not inside:
+                x, y = 0.0, 0.0
+            elif step == 0 or not converged:
+                break
+        out[i, 0], out[i, 1] = (x, y) if inside else (np.nan, np.nan)
     return out
 
 

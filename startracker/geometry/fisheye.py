@@ -41,7 +41,7 @@ def limit_rad(coefficients: tuple[float, float, float, float]) -> float:
     return min(math.pi * math.sqrt(real.min()), _BOUND_RAD) if len(real) else _BOUND_RAD
 
 
-@kernel
+@kernel_part
 def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
     if equisolid:
         return 2.0 * math.sin(0.5 * theta)

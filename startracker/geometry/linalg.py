@@ -63,7 +63,7 @@ def solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@kernel_part
 def log_determinant(matrix: FloatArray) -> float:
     """ln of the determinant of a positive definite matrix; −inf for any other."""
     size, total = len(matrix), 0.0
@@ -107,14 +107,14 @@ def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
     return out, log_determinant
 
 
-@kernel
+@kernel_part
 def chord(u: FloatArray, v: FloatArray) -> float:
     """Distance of two unit vectors."""
     x, y, z = u[0] - v[0], u[1] - v[1], u[2] - v[2]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@kernel
+@kernel_part
 def cross(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
     """Cross product of two vectors (3,)."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -137,7 +137,7 @@ def transform(matrix: FloatArray, vectors: FloatArray, out: FloatArray) -> None:
             out[n, i] = matrix[i, 0] * x + matrix[i, 1] * y + matrix[i, 2] * z
 
 
-@kernel
+@kernel_part
 def rotate_back(matrix: FloatArray, vector: FloatArray) -> tuple[float, float, float]:
     """matrixᵀ · v of one vector (3,)."""
     x, y, z = vector[0], vector[1], vector[2]

@@ -138,7 +138,7 @@ def named(
     return pairs[:count], fits[:count], merged
 
 
-@kernel
+@kernel_part
 def _is_within(xy: FloatArray, position: FloatArray, stated: FloatArray, factor: float, systematic_px2: float) -> bool:
     """Whether a centroid (2,) is within 3.7 standard errors of a position (2,) by its covariance (2, 2)."""
     a, c, b = factor * stated[0, 0] + systematic_px2, factor * stated[1, 1] + systematic_px2, factor * stated[0, 1]

@@ -117,7 +117,7 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
     return out
 
 
-@kernel
+@kernel_part
 def _core(difference: float, width: float) -> float:
     """Density of a magnitude difference of the given scatter, without the wings' share."""
     square = 0.5 * (difference / width) ** 2
@@ -126,7 +126,7 @@ def _core(difference: float, width: float) -> float:
     return (1.0 - _WIDE_SHARE) / (width * _ROOT_TWO_PI) * math.exp(-square)
 
 
-@kernel
+@kernel_part
 def _wide(difference: float) -> float:
     """Density of the wings."""
     return _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI) * math.exp(-0.5 * (difference / _WIDE_MAG) ** 2)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
+from startracker.kernels import kernel_part
 
 
 class KVector(NamedTuple):
@@ -49,7 +49,7 @@ def k_vector(values: FloatArray) -> KVector:
     return KVector(ascending, below, start, step)
 
 
-@kernel
+@kernel_part
 def _first_from(index: KVector, value: float) -> int:
     """Position of the first value that is not below `value`."""
     n = len(index.values)
@@ -66,7 +66,7 @@ def _first_from(index: KVector, value: float) -> int:
     return at
 
 
-@kernel
+@kernel_part
 def find_range(index: KVector, low: float, high: float) -> tuple[int, int]:
     """Half-open range of the positions whose values are ≥ `low` and ≤ `high`."""
     first = _first_from(index, low)

@@ -15,7 +15,7 @@ from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.image_map import ImageMap, to_directions
 from startracker.interop import is_rotation, is_skycoord, plain
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 from startracker.solution import Status
 
 WORST_PX = 5.0
@@ -63,7 +63,7 @@ class Observed:
         return filled(len(self), math.nan) if self.flux is None else self.flux
 
 
-@kernel
+@kernel_part
 def magnitudes_of(flux: FloatArray) -> FloatArray:
     """Instrumental magnitudes −2.5 log₁₀ flux (N,); NaN for all where one flux is not positive and finite."""
     out = np.empty(len(flux))

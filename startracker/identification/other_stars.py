@@ -157,7 +157,7 @@ def enough_matches(
     return False
 
 
-@kernel
+@kernel_part
 def least_matches(mean: float, chance: float) -> int:
     """Fewest matches with a probability of at most `chance` where `mean` occur by chance on average (Poisson)."""
     if mean > _MANY:  # e^−mean would underflow; the tail of a normal distribution instead

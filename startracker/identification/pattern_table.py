@@ -89,7 +89,7 @@ class PatternTable(NamedTuple):
         return self.keys.nbytes + self.stars.nbytes + self.sizes.nbytes + self.members.nbytes
 
 
-@kernel
+@kernel_part
 def sorted_edges(a: float, b: float, c: float, d: float, e: float, f: float, out: FloatArray) -> None:
     """The six edges of a pattern, ascending, into `out` (6,)."""
     out[0], out[1], out[2], out[3], out[4], out[5] = a, b, c, d, e, f
@@ -110,7 +110,7 @@ def shape_key(edges: FloatArray) -> int:
     return key
 
 
-@kernel
+@kernel_part
 def home_slot(key: int, slots: int) -> np.int64:
     """Where the search for a key begins: Fibonacci hashing (Knuth 1998, section 6.4) spread over any table size."""
     mixed = (np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)
@@ -127,19 +127,14 @@ def insert(
     sizes: NDArray[np.uint16],
 ) -> None:
     """Put patterns (Q, 4) of unit vectors (P, 3) into an empty table; a slot must stay free."""
-    edges = np.empty(6)
+    edge, edges = np.empty((4, 4)), np.empty(6)
     slots = len(keys)
     for q in range(len(patterns)):
         a, b, c, d = patterns[q, 0], patterns[q, 1], patterns[q, 2], patterns[q, 3]
-        sorted_edges(
-            chord(directions[a], directions[b]),
-            chord(directions[a], directions[c]),
-            chord(directions[a], directions[d]),
-            chord(directions[b], directions[c]),
-            chord(directions[b], directions[d]),
-            chord(directions[c], directions[d]),
-            edges,
-        )
+        for i in range(4):
+            for j in range(i):
+                edge[i, j] = chord(directions[patterns[q, i]], directions[patterns[q, j]])
+        sorted_edges(edge[1, 0], edge[2, 0], edge[3, 0], edge[2, 1], edge[3, 1], edge[3, 2], edges)
         key = shape_key(edges)
         slot = home_slot(key, slots)
         while keys[slot] != EMPTY:

@@ -74,7 +74,7 @@ class _Neighbours(NamedTuple):
     high: IntArray
 
 
-@kernel
+@kernel_part
 def bearing(v: FloatArray, w: FloatArray) -> float:
     """Angle at v from a fixed direction there to w, counted about v, in 65536ths of a turn, −32768 to 32768."""
     if abs(v[2]) < 0.9:
@@ -92,10 +92,9 @@ def bearing(v: FloatArray, w: FloatArray) -> float:
 def pair_bearings(directions: FloatArray, first: Int32Array, second: Int32Array) -> tuple[BearingArray, BearingArray]:
     """Bearings (P,) of the second star of each pair at the first, and of the first at the second."""
     there, back = np.empty(len(first), np.uint16), np.empty(len(first), np.uint16)
-    for p in range(len(first)):
-        v, w = directions[first[p]], directions[second[p]]
-        there[p] = int(bearing(v, w) + _TURN) & (_TURN - 1)
-        back[p] = int(bearing(w, v) + _TURN) & (_TURN - 1)
+    for out, here, other in ((there, first, second), (back, second, first)):
+        for p in range(len(first)):
+            out[p] = int(bearing(directions[here[p]], directions[other[p]]) + _TURN) & (_TURN - 1)
     return there, back
 
 

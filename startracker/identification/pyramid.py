@@ -12,6 +12,7 @@ Errors as stated are assumed first, then 3 and 10 times those; a few triangles e
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -114,6 +115,17 @@ def pyramid(
     return verdict
 
 
+@lru_cache(maxsize=128)
+def smart_triples(n: int) -> IntArray:
+    """All triples (T, 3) of n stars, ordered (i, i + dj, i + dj + dk) with i running fastest, then dk, then dj.
+
+    Successive triples share few stars, so that one false star spoils few of them in a row (Mortari et al. 2004).
+    """
+    dj, dk, i = np.indices((n, n, n)).reshape(3, -1)
+    triples = np.stack([i, i + dj, i + dj + dk], axis=1)
+    return triples[(dj > 0) & (dk > 0) & (triples[:, 2] < n)]
+
+
 def _guide_pairs(guide: GuideDatabase, prior: Prior | None) -> GuidePairs:
     """Pairs of the whole sky, or about a prior attitude."""
     pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
@@ -151,22 +163,6 @@ class Seen(NamedTuple):
     sigma: FloatArray
     separation: FloatArray
     tolerance: FloatArray
-
-
-@kernel
-def smart_triples(n: int) -> IntArray:
-    """All triples (T, 3) of n stars, ordered (i, i + dj, i + dj + dk) with i running fastest, then dk, then dj.
-
-    Successive triples share few stars, so that one false star spoils few of them in a row (Mortari et al. 2004).
-    """
-    out = np.empty((n * (n - 1) * (n - 2) // 6, 3), np.int64)
-    count = 0
-    for dj in range(1, n - 1):
-        for dk in range(1, n - dj):
-            for i in range(n - dj - dk):
-                out[count, 0], out[count, 1], out[count, 2] = i, i + dj, i + dj + dk
-                count += 1
-    return out
 
 
 @kernel_part

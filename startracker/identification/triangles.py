@@ -97,13 +97,17 @@ def first_triangles(vectors: FloatArray, diagonal_rad: float, count: int) -> Int
     n, at = min(len(vectors), _BRIGHT), 0
     total = n * (n - 1) * (n - 2) // 6
     triples, cost, order = np.empty((total, 3), np.int64), np.empty(total), np.empty(total, np.int64)
+    side = np.empty((n, n))
+    for k in range(n):
+        for i in range(k):
+            side[i, k] = chord_angle(vectors[i], vectors[k])
     for k in range(2, n):
         for i in range(k - 1):
             for j in range(i + 1, k):
-                ij, jk = chord_angle(vectors[i], vectors[j]), chord_angle(vectors[j], vectors[k])
-                ki = chord_angle(vectors[k], vectors[i])
-                longest = max(ij, jk, ki)
-                cost[at] = ij + jk + ki - longest + (2.0 * math.pi if longest < _LEAST_SIDE * diagonal_rad else 0.0)
+                longest = max(side[i, j], side[j, k], side[i, k])
+                cost[at] = side[i, j] + side[j, k] + side[i, k] - longest
+                if longest < _LEAST_SIDE * diagonal_rad:
+                    cost[at] += 2.0 * math.pi
                 triples[at, 0], triples[at, 1], triples[at, 2] = i, j, k
                 at += 1
     order_of(cost, order)
@@ -261,7 +265,7 @@ def similar_triangles(
     return Candidates(rows[:count], focal[:count]), work
 
 
-@kernel
+@kernel_part
 def grown(rows: Int32Array, focal: FloatArray) -> tuple[Int32Array, FloatArray]:
     """The same arrays with room for twice as many."""
     n = len(focal)

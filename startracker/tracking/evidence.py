@@ -9,6 +9,7 @@ import numpy as np
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.linalg import inverse, transform, turned
 from startracker.kernels import kernel_part
+from startracker.sorting import order_of
 
 
 @kernel_part
@@ -59,22 +60,25 @@ def log_evidence(
     area: float,
 ) -> float:
     """ln B of a match: see `startracker.tracking.matching.track`, for the names of the arguments."""
-    seen = np.flatnonzero(index >= 0)
-    if len(seen) == 0:
-        return -math.inf
-    moved = np.empty_like(predicted)
+    loss, rank, order = np.empty(len(index)), np.empty_like(index), np.empty_like(index)
+    moved, count, prior = np.empty_like(predicted), 0, 0.0
     transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
-    gain = np.empty(len(seen))
-    for m in range(len(seen)):
-        i = seen[m]
-        p = moved[index[i]]
-        d2 = (observed[i, 0] - p[0]) ** 2 + (observed[i, 1] - p[1]) ** 2 + (observed[i, 2] - p[2]) ** 2
-        gain[m] = math.log(area / (2.0 * math.pi * sigma[i] ** 2)) - 0.5 * d2 / sigma[i] ** 2
-    order = np.argsort(-gain)
-    prior = 0.0
+    for i in range(len(index)):
+        if index[i] >= 0:
+            p = moved[index[i]]
+            d2 = (observed[i, 0] - p[0]) ** 2 + (observed[i, 1] - p[1]) ** 2 + (observed[i, 2] - p[2]) ** 2
+            loss[count] = 0.5 * d2 / sigma[i] ** 2 - math.log(area / (2.0 * math.pi * sigma[i] ** 2))
+            rank[count] = index[i]
+            count += 1
+    if count == 0:
+        return -math.inf
+    order_of(loss[:count], order)
+    gain, ranks = np.empty(count), np.empty(count, np.int64)
+    for m in range(count):
+        gain[m], ranks[m] = -loss[order[m]], rank[order[m]]
     for r in range(3):
         for c in range(3):
             prior += turn[r] * precision[r, c] * turn[c]
     narrowing: float = inverse(precision + information, 3)[1] - inverse(precision, 3)[1]
-    matches: float = log_assignments(gain[order], index[seen[order]], len(observed), len(predicted))
+    matches: float = log_assignments(gain, ranks, len(observed), len(predicted))
     return matches - 0.5 * (prior + narrowing)

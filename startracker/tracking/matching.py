@@ -18,8 +18,10 @@ from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
 from startracker.estimation.directions import fit_turn
-from startracker.geometry.linalg import cross, inverse, transform, turned
+from startracker.geometry.linalg import cross, inverse, rotate_back, transform, turned
 from startracker.kernels import kernel, kernel_part
+from startracker.observer import aberrated
+from startracker.sorting import sort
 from startracker.tracking.evidence import log_evidence
 
 GATE2 = 18.4
@@ -51,15 +53,12 @@ def expected_stars(
     -------
     index (K,), apparent directions (K, 3) in ICRS axes, and in camera axes (K, 3).
     """
-    axis = sky.shape.axes[2]
     b2 = beta[0] ** 2 + beta[1] ** 2 + beta[2] ** 2
-    inverse_gamma = math.sqrt(1.0 - b2)
-    x = matrix[0, 0] * axis[0] + matrix[1, 0] * axis[1] + matrix[2, 0] * axis[2]
-    y = matrix[0, 1] * axis[0] + matrix[1, 1] * axis[1] + matrix[2, 1] * axis[2]
-    z = matrix[0, 2] * axis[0] + matrix[1, 2] * axis[1] + matrix[2, 2] * axis[2]
+    x, y, z = rotate_back(matrix, sky.shape.axes[2])
     # aberration can move a star into the field by up to β
     widest = math.cos(min(math.acos(sky.shape.widest_cosine) + 1.1 * math.sqrt(b2), math.pi))
-    near = np.sort(stars_in_cone(x, y, z, widest, sky.directions, sky.grid))
+    near = stars_in_cone(x, y, z, widest, sky.directions, sky.grid)
+    sort(near)
     size = min(most, len(near))
     index = np.empty(size, np.int64)
     seen, predicted = np.empty((size, 3)), np.empty((size, 3))
@@ -70,13 +69,7 @@ def expected_stars(
         g = sky.directions[star]
         gx, gy, gz = g[0], g[1], g[2]
         if b2 > 0.0:
-            along = gx * beta[0] + gy * beta[1] + gz * beta[2]
-            share = 1.0 + along / (1.0 + inverse_gamma)
-            gx = gx * inverse_gamma + beta[0] * share
-            gy = gy * inverse_gamma + beta[1] * share
-            gz = gz * inverse_gamma + beta[2] * share
-            length = math.sqrt(gx * gx + gy * gy + gz * gz)
-            gx, gy, gz = gx / length, gy / length, gz / length
+            gx, gy, gz = aberrated(gx, gy, gz, (beta[0], beta[1], beta[2]))
         u = matrix[0, 0] * gx + matrix[0, 1] * gy + matrix[0, 2] * gz
         v = matrix[1, 0] * gx + matrix[1, 1] * gy + matrix[1, 2] * gz
         w = matrix[2, 0] * gx + matrix[2, 1] * gy + matrix[2, 2] * gz
@@ -136,7 +129,7 @@ def spreads(predicted: FloatArray, covariance: FloatArray) -> Spread:
     return Spread(us, vs, out)
 
 
-@kernel
+@kernel_part
 def _apart(
     observed: FloatArray, predicted: FloatArray, spread: Spread, k: int, s2: float
 ) -> tuple[float, float, float]:

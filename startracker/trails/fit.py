@@ -223,7 +223,7 @@ def _first_fit(
     return p, covariance, chi2 if strong and near else np.inf, freedom
 
 
-@kernel
+@kernel_part
 def _shift(p: FloatArray, along: float, across: float) -> None:
     """Move a trail along and across itself, px, in place."""
     cos, sin = math.cos(p[ANGLE]), math.sin(p[ANGLE])

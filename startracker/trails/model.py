@@ -47,7 +47,7 @@ def residual_of(image: Image, level: Plane, saturation: float) -> FloatImage:
     return out
 
 
-@kernel
+@kernel_part
 def _row_spans(p: FloatArray, beyond: float, beside: float, height: int, width: int) -> tuple[int, IntArray]:
     """First row, and of each row the first column and the last + 1 (N, 2), of the slanted window of ± beyond along and
     ± beside across a trail."""
@@ -72,7 +72,7 @@ def _row_spans(p: FloatArray, beyond: float, beside: float, height: int, width: 
 def window_pixels(residual: FloatImage, noise: Plane, p: FloatArray, slack: float) -> FloatArray:
     """Columns x, y, value and variance (4, N) of the usable pixels about a trail."""
     beyond, beside = p[HALF] + _BEYOND_SIGMAS * p[SIGMA] + slack, _ACROSS_SIGMAS * p[SIGMA] + 1.0
-    top, spans = _row_spans(p, beyond, beside, *residual.shape)
+    top, spans = _row_spans(p, beyond, beside, residual.shape[0], residual.shape[1])
     count = 0
     for j in range(len(spans)):
         for x in range(spans[j, 0], spans[j, 1]):
@@ -209,7 +209,7 @@ def subtract_trail(residual: FloatImage, p: FloatArray, sign: float) -> None:
     """Subtract a trail from the residual in place (`sign` −1: add it again); its sky is left."""
     cos, sin, narrow = math.cos(p[ANGLE]), math.sin(p[ANGLE]), 1.0 / p[SIGMA]
     end = p[HALF] * narrow
-    top, spans = _row_spans(p, p[HALF] + _FAR * p[SIGMA], _FAR * p[SIGMA], *residual.shape)
+    top, spans = _row_spans(p, p[HALF] + _FAR * p[SIGMA], _FAR * p[SIGMA], residual.shape[0], residual.shape[1])
     unit = sign * p[FLUX] * narrow / (2.0 * p[HALF] * math.sqrt(2.0 * math.pi))
     for j in range(len(spans)):
         dy = top + j - p[Y]

@@ -105,13 +105,8 @@ def within(signal: Signal, table: FloatArray, margin: FloatArray | float) -> Fla
 
 
 def _is_whole(signal: Signal, line: FloatArray) -> bool:
-    """Whether a line (7,) has both ends inside the image by `_CUT_PX`: `within` of one line."""
-    height, width = signal.residual.shape
-    x, y, _, _, angle, half, _ = line.tolist()
-    for at, reach, size in ((x, half * math.cos(angle), width), (y, half * math.sin(angle), height)):
-        if not abs(at - 0.5 * (size - 1.0)) + (abs(reach) + _CUT_PX) <= 0.5 * (size - 1.0):
-            return False
-    return True
+    """Whether a line (7,) has both ends inside the image by `_CUT_PX`."""
+    return bool(within(signal, line[None], _CUT_PX)[0])
 
 
 def find_motion(

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from simulator import Renderer, Scenario
 from simulator.detector.fixed_pattern import FixedPattern
-from simulator.optics.smear import _longest, _rotations, _turned, star_paths
+from simulator.optics.smear import _longest, _positions, star_paths, turning
 from simulator.optics.splat import add_gaussians
 from simulator.study.trials import bounds
 from simulator.study.trials.trial import TrialRunner
@@ -115,18 +115,18 @@ def test_matched_stars_are_the_brightest_near(renderer):
     assert len(bounds.matched_sources(truth, np.empty((0, 2)))) == 0
 
 
-def test_rotations_are_those_of_scipy_and_turn_what_they_should():
+def test_rotations_are_those_of_scipy_and_turn_what_they_should(renderer):
     turn, moments = np.array([0.3, -1.2, 0.7]), np.linspace(-0.5, 0.5, 9)
-    matrices = _rotations(turn, moments)
+    matrices = turning(turn, moments)
     np.testing.assert_allclose(matrices, Rotation.from_rotvec(moments[:, None] * turn).as_matrix(), atol=4e-16)
-    np.testing.assert_array_equal(_rotations(np.zeros(3), moments), np.tile(np.eye(3), (9, 1, 1)))
-    directions = np.random.default_rng(8).normal(size=(12, 3))
-    expected = np.einsum("kij,nj->nki", matrices, directions).reshape(-1, 3)
-    found = _turned(directions, matrices, 0.1)
-    low = expected[:, 2] < 0.1
-    assert 0 < low.sum() < len(low)
+    np.testing.assert_array_equal(turning(np.zeros(3), moments), np.tile(np.eye(3), (9, 1, 1)))
+    directions, camera = np.random.default_rng(8).normal(size=(12, 3)), renderer.camera
+    vectors = np.einsum("kij,nj->nki", matrices, directions)
+    found = _positions(directions, matrices, 0.1, camera.image_map)
+    low = vectors[..., 2] < 0.1
+    assert 0 < low.sum() < low.size
     assert np.isnan(found[low]).all()
-    np.testing.assert_allclose(found[~low], expected[~low], atol=1e-15)
+    np.testing.assert_allclose(found[~low], camera.project(vectors[~low]), rtol=1e-12)
 
 
 def test_the_longest_path_leaves_out_chords_to_nowhere():

@@ -92,11 +92,12 @@ def test_this_version_of_numba_has_what_the_shortcuts_replace():
         "numba.core.pythonapi.PythonAPI.serialize_object",
         "numba.core.pythonapi.PythonAPI.unserialize",
         "numba.core.codegen.CPUCodeLibrary._optimize_functions",
+        "numba.core.codegen.CPUCodeLibrary._optimize_final_module",
     ]
 
 
 def test_machine_code_is_that_of_numba_alone(frame, monkeypatch):
-    """Of all but the last four: three concern classes of results, one leaves out passes. The results are the same."""
+    """Of all but the last five: three concern classes of results, two leave out passes. The results are the same."""
     plain_code, (plain_out, *plain_rest) = compiled(*frame)
     assert len(plain_code.splitlines()) > 200
     assert plain_rest[-1] == _steps_to_one.py_func(27) == (111, 8)
@@ -104,10 +105,39 @@ def test_machine_code_is_that_of_numba_alone(frame, monkeypatch):
         _, (out, *rest) = compiled(*frame)
     assert np.array_equal(out, plain_out, equal_nan=True)
     assert rest == plain_rest
-    monkeypatch.setattr(compiler, "_SHORTCUTS", _SHORTCUTS[:-4])
+    monkeypatch.setattr(compiler, "_SHORTCUTS", _SHORTCUTS[:-5])
     with shortcuts():
         code, _ = compiled(*frame)
     assert code == plain_code
+
+
+def _halved(values):
+    for n in range(len(values)):
+        values[n] *= 0.5
+
+
+@pytest.mark.parametrize("vectorised", [False, True])
+def test_loops_use_vector_instructions_only_if_asked(vectorised):
+    function, values = njit(_halved), np.arange(1001.0)
+    expected = 0.5 * values
+    with shortcuts(vectorised):
+        function(values)
+    assert np.array_equal(values, expected)
+    (code,) = function.inspect_llvm().values()
+    assert bool(re.search(r"fmul <\d+ x double>", code)) == vectorised
+
+
+def test_kernels_of_a_vectorised_kernel_are_compiled_as_they_ask():
+    """The option of a kernel compiled within another is its own."""
+    values = np.arange(1001.0)
+    with shortcuts(True):
+        with shortcuts(False):
+            few = njit(_halved)
+            few(values)
+        many = njit(_halved)
+        many(values)
+    found = [bool(re.search(r"fmul <\d+ x double>", code)) for f in (few, many) for code in f.inspect_llvm().values()]
+    assert found == [False, True]
 
 
 def _windows(pixels):

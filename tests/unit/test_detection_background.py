@@ -6,23 +6,22 @@ import pytest
 from startracker.detection import find_components
 from startracker.detection.background import as_image, estimate, noise_floor
 from startracker.detection.plane import fill_plane
-from startracker.detection.tiles import interpolate_tiles, select_kth, smooth_tiles
+from startracker.detection.tiles import interpolate_tiles, smooth_tiles
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
+from startracker.sorting import ranked
 
 
 def rng(*key):
     return np.random.default_rng([7, *key])
 
 
-def test_select_kth_is_a_sort():
+def test_ranks_are_those_of_a_sort():
     for trial in range(50):
-        values = rng(trial).integers(0, 1 + trial * 3, 1 + trial * 7).astype(np.float32)
+        values = rng(trial).integers(-trial, 1 + trial * 3, 1 + trial * 7).astype(np.float32)
         k = int(rng(trial, 1).integers(len(values)))
-        work = values.copy()
-        assert select_kth(work, 0, len(work), k) == np.sort(values)[k]
-        assert np.array_equal(np.sort(work), np.sort(values))
-        assert work[:k].max(initial=-1) <= work[k] <= work[k:].min()
+        ordered = np.sort(values)
+        assert ranked(values, k) == (ordered[k], ordered[min(k + 1, len(values) - 1)])
 
 
 def test_interpolation_equals_scipy():

@@ -36,7 +36,7 @@ export class Commands {
   }
 
   blind() {
-    return this.#send(byId("blind").getAttribute("aria-pressed") === "true" ? "unblind" : "blind");
+    return this.#send(this.store.state?.blinded ? "unblind" : "blind");
   }
 
   saa() {

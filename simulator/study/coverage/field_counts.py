@@ -1,4 +1,4 @@
-"""Kernels: stars in the field at many attitudes.
+"""Stars in the field at many attitudes.
 
 Stars are given as unit vectors with their grid (`startracker.catalog.voxels`), the field as its outline
 (`startracker.catalog.field_shape`). The nadir and the cosine of the Earth's angular radius at each attitude define the
@@ -35,7 +35,7 @@ def solid_angle_sr(shape: FieldShape) -> float:
 
 
 @kernel
-def _in_field(
+def stars_in_field(
     matrix: FloatArray,
     directions: FloatArray,
     grid: VoxelGrid,
@@ -43,7 +43,7 @@ def _in_field(
     nadir: FloatArray,
     limb_cosine: float,
 ) -> IntArray:
-    """Stars on the image at the attitude `matrix` (ICRS → camera), ascending."""
+    """Kernel: stars on the image at the attitude `matrix` (ICRS → camera), in any order."""
     centre = shape.axes[2]
     cx = matrix[0, 0] * centre[0] + matrix[1, 0] * centre[1] + matrix[2, 0] * centre[2]
     cy = matrix[0, 1] * centre[0] + matrix[1, 1] * centre[1] + matrix[2, 1] * centre[2]
@@ -61,10 +61,9 @@ def _in_field(
         if in_shape(x, y, z, shape):
             out[count] = star
             count += 1
-    return np.sort(out[:count])
+    return out[:count]
 
 
-@kernel
 def count_by_level(
     matrices: FloatArray,
     directions: FloatArray,
@@ -90,14 +89,13 @@ def count_by_level(
     nadir, limb_cosine : (N, 3), (N,)
         Direction of the Earth's centre, cosine of its angular radius.
     """
-    out = np.zeros((len(matrices), levels), np.int64)
-    for n in range(len(matrices)):
-        for star in _in_field(matrices[n], directions, grid, shape, nadir[n], limb_cosine[n]):
-            out[n, level[star]] += 1
+    out = np.empty((len(matrices), levels), np.int64)
+    for n, matrix in enumerate(matrices):
+        stars = stars_in_field(matrix, directions, grid, shape, nadir[n], limb_cosine[n])
+        out[n] = np.bincount(level[stars], minlength=levels)
     return out
 
 
-@kernel
 def accumulate_information(
     matrices: FloatArray,
     directions: FloatArray,
@@ -127,19 +125,11 @@ def accumulate_information(
     counts : (N,) int
     information : (N, 3, 3)
     """
-    counts = np.zeros(len(matrices), np.int64)
-    information = np.zeros((len(matrices), 3, 3))
-    for n in range(len(matrices)):
-        stars = _in_field(matrices[n], directions, grid, shape, nadir[n], limb_cosine[n])[:most]
+    counts = np.empty(len(matrices), np.int64)
+    information = np.empty((len(matrices), 3, 3))
+    for n, matrix in enumerate(matrices):
+        stars = np.sort(stars_in_field(matrix, directions, grid, shape, nadir[n], limb_cosine[n]))[:most]
+        b, w = directions[stars] @ matrix.T, weight[stars]
         counts[n] = len(stars)
-        for star in stars:
-            w = weight[star]
-            b = np.zeros(3)
-            for i in range(3):
-                for j in range(3):
-                    b[i] += matrices[n, i, j] * directions[star, j]
-            for i in range(3):
-                information[n, i, i] += w
-                for j in range(3):
-                    information[n, i, j] -= w * b[i] * b[j]
+        information[n] = w.sum() * np.eye(3) - (b.T * w) @ b
     return counts, information

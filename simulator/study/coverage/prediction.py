@@ -99,7 +99,7 @@ def predict(scenario: Scenario, looks: Boresights, least_stars: int) -> Predicti
     )
     enough = (counts >= max(least_stars, LEAST_STARS)) & looks.allowed
     evidence = Predicted(
-        np.linalg.inv(information[enough]),
+        np.asarray(np.linalg.inv(information[enough]), dtype=float),
         build_mounting(scenario).inverse.as_matrix(),
         int(looks.allowed.sum()),
         specification_of(scenario),

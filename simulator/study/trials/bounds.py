@@ -24,10 +24,10 @@ from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_stars
 from simulator.renderer import Renderer
-from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import pixel_slopes as slopes_of_pixels
-from startracker.kernels import kernel
+from startracker.kernels import kernel, kernel_part
 
 SAME_STAR_PX = 3.0
 """A matched centroid is attributed to the brightest true star within this distance."""
@@ -90,22 +90,12 @@ def _deviations_deg(information: FloatArray, slopes: FloatArray) -> FloatArray:
 def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     """Rows of the true stars of matched centroids (N, 2), without duplicates and without unmatched ones."""
     sources = truth.sources
-    best = _brightest_near(np.asarray(xy, dtype=float), sources.image_xy, sources.electrons, sources.is_star)
-    return np.array(sorted({*best.tolist()} - {-1}), np.int64)
-
-
-@kernel
-def _brightest_near(xy: FloatArray, source_xy: FloatArray, electrons: FloatArray, is_star: BoolArray) -> IntArray:
-    """Kernel: rows (N,) of the brightest star within `SAME_STAR_PX` of each position (N, 2); −1: none."""
-    best = np.empty(len(xy), np.int64)
-    for n in range(len(xy)):
-        best[n], most = -1, 0.0
-        for k in range(len(source_xy)):
-            if is_star[k] and electrons[k] > most:
-                dx, dy = source_xy[k, 0] - xy[n, 0], source_xy[k, 1] - xy[n, 1]
-                if abs(dx) <= SAME_STAR_PX and math.hypot(dx, dy) <= SAME_STAR_PX:
-                    most, best[n] = electrons[k], k
-    return best
+    if not len(sources):
+        return np.empty(0, np.int64)
+    dx, dy = (sources.image_xy[:, axis] - xy[:, axis, None] for axis in (0, 1))
+    near = sources.is_star & (dx * dx + dy * dy <= SAME_STAR_PX**2)
+    light = np.where(near, sources.electrons, 0.0)
+    return np.unique(light.argmax(axis=1)[light.max(axis=1) > 0.0])
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
@@ -215,17 +205,18 @@ def _gaussian_slopes(
     """Kernel: pixel-integrated Gaussians of one electron as in `simulator.optics.splat.add_gaussians`, each in a
     separate image, and their derivatives: `images` (3, N, M, M), initially zero."""
     side = images.shape[2]
-    scale_x, scale_y = 1.0 / (math.sqrt(2.0) * sigma_x), 1.0 / (math.sqrt(2.0) * sigma_y)
-    column, row = np.empty((3, side)), np.empty((3, side))
+    scale = 1.0 / (math.sqrt(2.0) * sigma_x), 1.0 / (math.sqrt(2.0) * sigma_y)
+    reach = radius + 0.5, radius * sigma_y / sigma_x + 0.5
+    lines = np.empty((2, 3, side))
+    column, row = lines[0], lines[1]
     for n in range(paths.shape[0]):
         for k in range(paths.shape[1]):
-            x, y = paths[n, k, 0], paths[n, k, 1]
-            if not (math.isfinite(x) and math.isfinite(y)):
+            if not (math.isfinite(paths[n, k, 0]) and math.isfinite(paths[n, k, 1])):
                 continue
-            for s in range(3):
-                step = (0.0, _STEP_PX, -_STEP_PX)[s]
-                _shares(column[s], x + step, radius + 0.5, scale_x)
-                _shares(row[s], y + step, radius * sigma_y / sigma_x + 0.5, scale_y)
+            for axis in range(2):
+                for s in range(3):
+                    centre = paths[n, k, axis] + (0.0, _STEP_PX, -_STEP_PX)[s]
+                    _shares(lines[axis, s], centre, reach[axis], scale[axis])
             for j in range(side):
                 here = weights[k] * row[0, j]
                 down = weights[k] * (row[1, j] - row[2, j]) / (2.0 * _STEP_PX)
@@ -235,7 +226,7 @@ def _gaussian_slopes(
                     images[2, n, j, i] += down * column[0, i]
 
 
-@kernel
+@kernel_part
 def _shares(out: FloatArray, centre: float, radius: float, scale: float) -> None:
     """Fraction of a Gaussian in each pixel of a line, out to `radius`."""
     out[:] = 0.0
