@@ -179,7 +179,7 @@ def _variables_of_statements() -> Shortcut:
 
 def _no_lock_events() -> Iterator[Shortcut]:
     """Lock around each call of LLVM, without the events from which its time can be measured."""
-    from llvmlite.binding.ffi import _LLVMLock  # type: ignore[import-untyped]
+    from llvmlite.binding.ffi import _LLVMLock
 
     yield _LLVMLock, "__enter__", lambda self: self._lock.acquire() and None
     yield _LLVMLock, "__exit__", lambda self, *details: self._lock.release()
@@ -244,7 +244,7 @@ def _light_first_optimisation() -> Iterator[Shortcut]:
 
     With LLVM's new pass manager only, which numba has used since its version 0.62.
     """
-    from llvmlite.binding import create_new_function_pass_manager  # type: ignore[import-untyped]
+    from llvmlite.binding import create_new_function_pass_manager
     from numba.core.codegen import CPUCodegen, CPUCodeLibrary
 
     def run(self: Any, module: Any) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 TAIL = np.float32(3.66)
 """Start of the tails."""
@@ -75,7 +75,7 @@ def gaussian_from_bits(bits: Bits, out: SingleArray) -> None:
         out[i] = number if bits[i] >= _MIDDLE else -number
 
 
-@pixel_kernel
+@kernel
 def upper_quantile(p: float) -> float:
     """x ≥ 0 with 1 − Φ(x) = p, 0 < p ≤ ½, in double precision: two steps of Halley's method from an approximation
     accurate to 4.5e-4 (Abramowitz & Stegun 1964, 26.2.23)."""

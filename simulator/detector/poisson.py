@@ -26,7 +26,7 @@ from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_wor
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""
@@ -220,7 +220,7 @@ def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     return n
 
 
-@pixel_kernel
+@kernel
 def probability(n: float, mean: float) -> float:
     """Poisson probability of n, computed from its distance to the peak to avoid cancellation (Loader 2000)."""
     if n == 0.0:

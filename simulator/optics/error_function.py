@@ -49,9 +49,8 @@ def error_function(x: float) -> float:
 @pixel_kernel
 def shares_of_pixels(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
     """Kernel: fraction of a Gaussian at `centre` in each of the pixels first … last of a line; `scale` is 1/σ√2."""
-    low = 0.0
-    for i in range(last - first + 2):
-        high = error_function((first + i - 0.5 - centre) * scale)
-        if i > 0:
-            out[i - 1] = 0.5 * (high - low)
+    low = error_function((first - 0.5 - centre) * scale)
+    for i in range(last - first + 1):
+        high = error_function((first + i + 0.5 - centre) * scale)
+        out[i] = 0.5 * (high - low)
         low = high

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -185,8 +186,12 @@ def least_radius(half: int, aspect: float) -> float:
 
 def fade(r: FloatArray, radius: float) -> FloatArray:
     """1 to `radius`, 0 from `radius` + `TAPER_PX` on, smooth (3t² − 2t³) between."""
-    t = np.clip((radius + TAPER_PX - r) / TAPER_PX, 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t))
+    return np.asarray(smooth_step(np.clip((radius + TAPER_PX - r) / TAPER_PX, 0.0, 1.0)))
+
+
+def smooth_step(t: Any) -> Any:
+    """3t² − 2t³ of a number or an array, from 0 to 1 with t."""
+    return t * t * (3.0 - 2.0 * t)
 
 
 def outside(

@@ -7,9 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simulator.optics.psf_table import TAPER_PX
+from simulator.optics.psf_table import TAPER_PX, smooth_step
 from startracker.arrays import FloatArray
 from startracker.kernels import kernel_part
+
+_smooth_step = kernel_part(smooth_step)
 
 
 class Wings(NamedTuple):
@@ -184,5 +186,5 @@ def _wing_rim(
         r = math.sqrt((i - star[0]) * (i - star[0]) + star[1] * star[1])
         position = r * per_px
         m = min(int(position), last)
-        t = min(max((radius + TAPER_PX - r) / TAPER_PX, 0.0), 1.0)  # as in `simulator.optics.psf_table.fade`
-        line[i] = amount * (t * t * (3.0 - 2.0 * t)) * (share[m] + (position - m) * (share[m + 1] - share[m]))
+        t = min(max((radius + TAPER_PX - r) / TAPER_PX, 0.0), 1.0)
+        line[i] = amount * _smooth_step(t) * (share[m] + (position - m) * (share[m + 1] - share[m]))

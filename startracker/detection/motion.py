@@ -15,7 +15,7 @@ from startracker.detection.thresholds import (
     SHORT_AGREEING_SHARE,
     SHORTEST_MOTION_PX,
 )
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 _TRIED = 14
 """Brightest streaks of which every pair proposes a motion."""
@@ -122,7 +122,7 @@ def _fit(xy: FloatArray, lines: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(design, lines.T.reshape(-1), rcond=None)[0])
 
 
-@pixel_kernel
+@kernel
 def _search(xy: FloatArray, lines: FloatArray, tried: int) -> tuple[int, FloatArray]:
     best, most = np.zeros(3), 0
     smallest = np.inf

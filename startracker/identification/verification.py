@@ -144,6 +144,15 @@ class _Fit(NamedTuple):
 
 
 @kernel_part
+def _same(one: IntArray, other: IntArray) -> bool:
+    """Whether two arrays are equal."""
+    differ = abs(len(one) - len(other))
+    for k in range(min(len(one), len(other))):
+        differ += one[k] != other[k]
+    return differ == 0
+
+
+@kernel_part
 def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
     """Guide stars on the image at an attitude, the brightest `most` of them."""
     x, y, z = rotate_back(matrix, sky.shape.axes[2])
@@ -168,28 +177,38 @@ def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
 
 
 @kernel_part
+def _focused(stars: Stars, focal: float) -> FloatArray:
+    """Observed directions (N, 3) with the focal length corrected."""
+    observed = np.empty_like(stars.vectors)
+    for i in range(len(observed)):
+        for axis in range(3):
+            observed[i, axis] = stars.vectors[i, axis] + focal * stars.slopes[i, axis]
+    return observed
+
+
+@kernel_part
 def _settle(
     matrix: FloatArray, focal: float, stars: Stars, field: _Field, step: float, widen: float, unknowns: int
 ) -> _Fit:
     """Match and refit at `step` times the stated errors until the match no longer changes, with a first gate `widen`
     times as wide."""
-    sigma, observed, count = stars.sigma, np.empty_like(stars.vectors), 0
-    gate, index = np.empty(len(sigma)), np.empty(len(sigma), np.int64)
-    for round_ in range(_ROUNDS + 1):
-        for i in range(len(sigma)):
-            for axis in range(3):
-                observed[i, axis] = stars.vectors[i, axis] + focal * stars.slopes[i, axis]
-            gate[i] = GATE_SIGMAS * step * sigma[i] * (widen if round_ == 0 else 1.0)
-        if round_ == _ROUNDS:
-            break
+    observed, sigma, gate, index = (
+        _focused(stars, focal),
+        stars.sigma,
+        np.empty(len(stars.sigma)),
+        np.empty(0, np.int64),
+    )
+    count = 0
+    for round_ in range(_ROUNDS):
         transform(matrix, field.reference, field.predicted)
+        for i in range(len(sigma)):
+            gate[i] = GATE_SIGMAS * step * sigma[i] * (widen if round_ == 0 else 1.0)
         last = index
         index, _ = nearest_unique(observed, field.predicted, gate)
-        count, changed = 0, round_ == 0
+        count = 0
         for i in range(len(index)):
             count += index[i] >= 0
-            changed |= index[i] != last[i]
-        if count < 3 or not changed:
+        if count < 3 or _same(index, last):
             return _Fit(matrix, focal, observed, index, count, round_ + 1)
         normal, right = normal_equations(observed, stars.slopes, field.predicted, index, sigma, unknowns)
         for i in range(unknowns):
@@ -205,6 +224,7 @@ def _settle(
         matrix = turned(matrix, change[0], change[1], change[2])
         if unknowns == 4:
             focal += change[3]
+            observed = _focused(stars, focal)
     return _Fit(matrix, focal, observed, index, count, _ROUNDS)
 
 
@@ -248,8 +268,8 @@ def verify_attitude(
     """
     n, operations, unknowns = len(stars.vectors), OVERHEAD, 4 if free_focal else 3
     field = _field_at(matrix, sky, 2 * n + MOST_EXTRA)
-    guides, weighed, pairs, count = len(field.guide), np.empty(n, np.int64), np.empty((n, 2), np.int64), 0
-    best, log_b, fitting, first = matrix, -math.inf, scale, True
+    guides, weighed, pairs, count = len(field.guide), np.empty(0, np.int64), np.empty((n, 2), np.int64), 0
+    best, log_b, fitting = matrix, -math.inf, scale
     best_focal = 0.0
     step, widen = scale, 2.0  # a first match from few stars' attitude may be off by more far away from them
     while guides >= 3:
@@ -259,11 +279,8 @@ def verify_attitude(
         if fit.matched < 3:
             break
         # a narrower gate that drops none changes nothing
-        changed = first or free_focal
-        for i in range(n):
-            changed |= fit.guide[i] != weighed[i]
-        if changed:
-            weighed, first = fit.guide, False
+        if free_focal or not _same(fit.guide, weighed):
+            weighed = fit.guide
             value, multiple = _weigh(fit, stars, field, sky.area, unknowns)
             operations += WEIGHINGS * fit.matched * guides
             if value > log_b:
