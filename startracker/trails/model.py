@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with, pixel_kernel
 
 FloatImage = NDArray[np.float32]
 
@@ -33,7 +33,7 @@ _WEIGHT, _REST, _SCALED, _ALONG, _FIRST, _LAST = range(LINE, WORK_ROWS)
 trail, and the densities at its two ends."""
 
 
-@kernel
+@pixel_kernel
 def residual_of(image: Image, level: Plane, saturation: float) -> FloatImage:
     """Image minus background, DN; not a number where the image is not finite or saturated."""
     height, width = image.shape
