@@ -16,6 +16,7 @@ from startracker.detection.thresholds import (
     SHORTEST_MOTION_PX,
 )
 from startracker.kernels import kernel
+from startracker.sorting import median
 
 _TRIED = 14
 """Brightest streaks of which every pair proposes a motion."""
@@ -68,7 +69,7 @@ def common_motion(
         if np.count_nonzero(fits[:tried]) < max(FEWEST_AGREEING, AGREEING_SHARE * tried):
             return None
         motion = _fit(xy[fits], (sign[:, None] * lines)[fits])
-    length = np.median(np.hypot(*motion_at(xy[:tried], motion).T))
+    length = median(np.hypot(*motion_at(xy[:tried], motion).T))
     sure = length > clear_px or np.count_nonzero(fits[:tried]) >= SHORT_AGREEING_SHARE * tried
     return motion if sure and length > shortest_px else None
 
@@ -117,9 +118,11 @@ def agrees(lines: FloatArray, expected: FloatArray) -> NDArray[np.bool_]:
 
 
 def _fit(xy: FloatArray, lines: FloatArray) -> FloatArray:
-    ones, zeros = np.ones(len(xy)), np.zeros(len(xy))
-    design = np.concatenate([np.column_stack([ones, zeros, -xy[:, 1]]), np.column_stack([zeros, ones, xy[:, 0]])])
-    return np.asarray(np.linalg.lstsq(design, lines.T.reshape(-1), rcond=None)[0])
+    """Least squares: the turn from the differences to the means, the shift from these."""
+    (x, y), (u, v) = xy.mean(axis=0), lines.mean(axis=0)
+    apart = xy - (x, y)
+    turn = (apart[:, 0] @ lines[:, 1] - apart[:, 1] @ lines[:, 0]) / max(float((apart * apart).sum()), 1e-12)
+    return np.array([u + turn * y, v - turn * x, turn])
 
 
 @kernel
