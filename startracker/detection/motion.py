@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -142,8 +144,9 @@ def _search(xy: FloatArray, lines: FloatArray, tried: int) -> tuple[int, FloatAr
                 count, total = 0, 0.0
                 for k in range(tried):
                     p, q = a - c * xy[k, 1], b + c * xy[k, 0]
-                    limit = MOTION_TOLERANCE_PX + MOTION_TOLERANCE_SHARE * np.hypot(p, q)
-                    apart = min(np.hypot(lines[k, 0] - p, lines[k, 1] - q), np.hypot(lines[k, 0] + p, lines[k, 1] + q))
+                    u, v = lines[k, 0], lines[k, 1]
+                    limit = MOTION_TOLERANCE_PX + MOTION_TOLERANCE_SHARE * math.sqrt(p * p + q * q)
+                    apart = math.sqrt(min((u - p) ** 2 + (v - q) ** 2, (u + p) ** 2 + (v + q) ** 2))
                     if apart <= limit:
                         count += 1
                         total += apart

@@ -191,13 +191,12 @@ def best_stretches(total: FloatArray, lengths: IntArray) -> tuple[FloatArray, Fl
     reach = len(total) // 2 - 1
     best, middle = np.full(len(lengths), -np.inf), np.zeros(len(lengths))
     for n in range(len(lengths)):
-        length = lengths[n]
-        most = -np.inf
+        length, most, where = lengths[n], -np.inf, reach
         for first in range(max(reach - length + 1, 0), min(reach + 1, len(total) - length)):
             light = total[first + length] - total[first]
-            if light > most:
-                most, middle[n] = light, first + 0.5 * length - reach - 0.5
-        best[n] = most / math.sqrt(length)
+            better = light > most  # two selections: a branch would often be mispredicted
+            most, where = light if better else most, first if better else where
+        best[n], middle[n] = most / math.sqrt(length), where + 0.5 * length - reach - 0.5
     return best, middle
 
 
