@@ -78,6 +78,8 @@ def _targets(timings: Mapping[str, Timing], processes: Mapping[str, float]) -> T
             least=True,
         )
     timed("detection and centroids of a `cubesat_ideal.yaml` frame, 1024²", "detection_and_centroids", 1.5)
+    for rate_deg_s, limit in (1, 10.0), (3, 15.0), (10, 25.0):
+        timed(f"solve of a frame trailed at {rate_deg_s} deg/s, 1024², lost in space", f"trailed[{rate_deg_s}]", limit)
     if "small_trial" in timings:
         small = timings["small_trial"]
         each = small.ms / small.extra["trials"]

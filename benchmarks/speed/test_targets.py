@@ -3,14 +3,16 @@
 import gc
 
 import numpy as np
+import pytest
 
 from benchmarks.cases import CASES
 from benchmarks.database import megabytes
+from benchmarks.frames import FrameCase
 from benchmarks.scenes import SceneMaker
 from benchmarks.speed.workload import CUBESAT, PLAIN, even_scenario, expose, renderer, scene, small_scenario
 from simulator import Scenario
 from simulator.study.trials.blocks import run_block
-from simulator.study.trials.trial import TrialRunner, build_tracker
+from simulator.study.trials.trial import TrialRunner, build_tracker, solve_frame
 from startracker import Attitude, Observer, StarTracker, TrackingSession, load_catalog
 from startracker.catalog import guide as guides
 from startracker.centroid import METHODS as CENTROIDERS
@@ -53,6 +55,15 @@ def test_detection_and_centroids(timed):
         )
 
     assert len(timed(find, lambda index: made.frame(index)[0], 30).xy) > 5
+
+
+@pytest.mark.parametrize("rate_deg_s", [1, 3, 10])
+def test_trailed(timed, rate_deg_s):
+    """Frames at random attitudes, trailed across the line of sight."""
+    made, solved = renderer(FrameCase("trailed", rate_deg_s=rate_deg_s).scenario("adaptive")), []
+    tracker = build_tracker(made.scenario, made.camera)
+    timed(lambda frame: solved.append(solve_frame(tracker, frame).solved), lambda index: made.frame(index)[0], 40)
+    assert np.mean(solved) > 0.9
 
 
 def test_small_trial(timed, benchmark):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,7 @@ from startracker.detection.thresholds import (
     SHORTEST_MOTION_PX,
 )
 from startracker.kernels import kernel
+from startracker.sorting import median
 
 _TRIED = 14
 """Brightest streaks of which every pair proposes a motion."""
@@ -68,7 +71,7 @@ def common_motion(
         if np.count_nonzero(fits[:tried]) < max(FEWEST_AGREEING, AGREEING_SHARE * tried):
             return None
         motion = _fit(xy[fits], (sign[:, None] * lines)[fits])
-    length = np.median(np.hypot(*motion_at(xy[:tried], motion).T))
+    length = median(np.hypot(*motion_at(xy[:tried], motion).T))
     sure = length > clear_px or np.count_nonzero(fits[:tried]) >= SHORT_AGREEING_SHARE * tried
     return motion if sure and length > shortest_px else None
 
@@ -117,9 +120,11 @@ def agrees(lines: FloatArray, expected: FloatArray) -> NDArray[np.bool_]:
 
 
 def _fit(xy: FloatArray, lines: FloatArray) -> FloatArray:
-    ones, zeros = np.ones(len(xy)), np.zeros(len(xy))
-    design = np.concatenate([np.column_stack([ones, zeros, -xy[:, 1]]), np.column_stack([zeros, ones, xy[:, 0]])])
-    return np.asarray(np.linalg.lstsq(design, lines.T.reshape(-1), rcond=None)[0])
+    """Least squares: the turn from the differences to the means, the shift from these."""
+    (x, y), (u, v) = xy.mean(axis=0), lines.mean(axis=0)
+    apart = xy - (x, y)
+    turn = (apart[:, 0] @ lines[:, 1] - apart[:, 1] @ lines[:, 0]) / max(float((apart * apart).sum()), 1e-12)
+    return np.array([u + turn * y, v - turn * x, turn])
 
 
 @kernel
@@ -139,8 +144,9 @@ def _search(xy: FloatArray, lines: FloatArray, tried: int) -> tuple[int, FloatAr
                 count, total = 0, 0.0
                 for k in range(tried):
                     p, q = a - c * xy[k, 1], b + c * xy[k, 0]
-                    limit = MOTION_TOLERANCE_PX + MOTION_TOLERANCE_SHARE * np.hypot(p, q)
-                    apart = min(np.hypot(lines[k, 0] - p, lines[k, 1] - q), np.hypot(lines[k, 0] + p, lines[k, 1] + q))
+                    u, v = lines[k, 0], lines[k, 1]
+                    limit = MOTION_TOLERANCE_PX + MOTION_TOLERANCE_SHARE * math.sqrt(p * p + q * q)
+                    apart = math.sqrt(min((u - p) ** 2 + (v - q) ** 2, (u + p) ** 2 + (v + q) ** 2))
                     if apart <= limit:
                         count += 1
                         total += apart

@@ -33,6 +33,7 @@ from startracker.detection.thresholds import (
 from startracker.detection.values import Image
 from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
+from startracker.sorting import median
 
 Flags = NDArray[np.bool_]
 
@@ -155,7 +156,7 @@ def decide(trails: Spots, points: Spots, image: Image, background: Background, m
     if _are_too_few(star, len(trails)):
         return replace(trails, other=points.take(np.arange(min(most, len(points)))))
     # a satellite is longer than the stars of the frame, which aberrations may have elongated themselves
-    trailed = on_trail & (major > WIDTH_RATIO * np.median(major[star]))
+    trailed = on_trail & (major > WIDTH_RATIO * median(major[star]))
     return replace(points.take(np.flatnonzero(~trailed)[:most]), other=trails)
 
 
@@ -188,7 +189,8 @@ def _round_stars(
     x, y = np.rint(centre).astype(np.int64).T
     for weight in _WEIGHTS_PX:
         across = measure_shapes(image, level, noise, np.ascontiguousarray(x), np.ascontiguousarray(y), weight)[:, MINOR]
-        width = float(np.median(across[np.isfinite(across)])) if np.isfinite(across).any() else math.nan
+        across = across[np.isfinite(across)]
+        width = median(across) if len(across) else math.nan
         if width < weight**2:
             break
     shapes = measure_shapes(image, level, noise, points.x_peak, points.y_peak, weight)

@@ -12,11 +12,12 @@ from startracker.arrays import FloatArray
 from startracker.centroid.psf_fit import MISFIT_SIGMA, SYSTEMATIC_PX
 from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.detection.background import Background
-from startracker.detection.matched import DEFAULT_SIGMA_PX
+from startracker.detection.matched import DEFAULT_SIGMA_PX, quantiles
 from startracker.detection.motion import agrees
 from startracker.detection.values import Image, as_pixels
 from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings
+from startracker.sorting import median
 from startracker.trails.fit import measure_trails
 from startracker.trails.lines import SHORTEST_PX, bin_residual, candidate_lines, lines_along
 from startracker.trails.model import ANGLE, FLUX, HALF, SIGMA, residual_of
@@ -94,7 +95,7 @@ def find_trails(
     lines = np.empty((0, 4)) if known is None else known
     motion_of = partial(find_motion, signal, sigma=sigma, measure_sigma=given is None, camera=camera)
     found = motion_of(lines[:_FITTED])
-    if found is not None and float(np.median(np.hypot(*found.lines_at(lines[:, :2])[0].T))) < _WHOLE_PX:
+    if found is not None and median(np.hypot(*found.lines_at(lines[:, :2])[0].T)) < _WHOLE_PX:
         return _measure(signal, lines[:, :2], found, settings)
     unit = max(1, math.ceil(max(pixels.shape) / _LARGEST_MAP_PX))
     bins = bin_residual(residual, background.noise_plane, 2 * unit)
@@ -120,9 +121,9 @@ def _halved(bins: FloatImage) -> FloatImage:
 
 def _excess(bins: FloatImage) -> float:
     """Noise of the bins, at least 1: neighbouring pixels of a photograph are correlated."""
-    sample = bins.ravel()[:: max(1, bins.size // 8192) | 1]
-    middle, above = np.quantile(sample, (0.5, 0.841345))
-    return max(1.0, float(above - middle))
+    sample = bins.ravel()[:: max(1, bins.size // 8192) | 1].copy()
+    middle, above = quantiles(sample, (0.5, 0.841345))
+    return max(1.0, above - middle)
 
 
 def _measure(signal: Signal, centres: FloatArray, found: CommonMotion, settings: DetectionSettings) -> Trails | None:

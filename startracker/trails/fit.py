@@ -16,6 +16,7 @@ from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
 from startracker.trails.model import (
     ANGLE,
+    BLOCK,
     FLUX,
     HALF,
     POSITION,
@@ -27,7 +28,6 @@ from startracker.trails.model import (
     Y,
     is_near,
     linearise,
-    normal_equations,
     set_light,
     subtract_trail,
     window_pixels,
@@ -103,20 +103,22 @@ def fit_trail(
     freedom
     """
     p, trial = start.copy(), start.copy()
-    pixels = window_pixels(residual, noise, p, slack)
-    work, none = np.empty((WORK_ROWS, pixels.shape[1])), np.zeros((size, size))
-    normal, right, factor, step = np.zeros((size, size)), np.zeros(size), np.zeros((size, size)), np.zeros(size)
-    if pixels.shape[1] <= size:
+    pixels, usable = window_pixels(residual, noise, p, slack)
+    work, none = np.empty((WORK_ROWS, BLOCK)), np.zeros((size, size))
+    factor, step, normal, right = np.zeros((size, size)), np.zeros(size), np.zeros((size, size)), np.zeros(size)
+    new_normal, new_right = np.zeros((size, size)), np.zeros(size)
+    if usable <= size:
         return p, none, np.inf, 0
     if not p[FLUX] > 0.0:
-        set_light(pixels, p, work)
+        set_light(pixels, p, work, normal, right)
         if not p[FLUX] > 0.0:
             return p, none, np.inf, 0
-    chi2, count = np.inf, 0
+    chi2, outliers, damping = np.inf, usable, 0.0
     for outlier, steps in ((np.inf, _FIRST_STEPS if size == POSITION else _STEPS), (_OUTLIER, _STEPS)):
-        chi2, count = linearise(pixels, p, size, inverse_gain, outlier, work)
-        normal_equations(work, size, normal, right)
-        damping, done = 1e-3, False
+        if outliers > 0:  # without one the equations stay the same
+            chi2, outliers = linearise(pixels, p, size, inverse_gain, outlier, work, normal, right)
+            damping = 1e-3
+        done = False
         for _ in range(steps):
             factor[:], step[:] = normal, right
             for i in range(size):
@@ -134,24 +136,24 @@ def fit_trail(
             trial[:size] += step
             trial[HALF] = max(trial[HALF], 0.5)
             trial[SIGMA] = min(max(trial[SIGMA], 0.3), 4.0 * start[SIGMA])
-            new_chi2, new_count = linearise(pixels, trial, size, inverse_gain, outlier, work)
+            new_chi2, new_outliers = linearise(pixels, trial, size, inverse_gain, outlier, work, new_normal, new_right)
             if new_chi2 > chi2:
-                damping *= 10.0
+                damping = max(10.0 * damping, 1.0)  # less would hardly shorten the step
                 continue
-            normal_equations(work, size, normal, right)
             done = chi2 - new_chi2 < _CONVERGED
-            p[:], chi2, count, damping = trial, new_chi2, new_count, 0.1 * damping
+            p[:], normal[:], right[:], damping = trial, new_normal, new_right, 0.1 * damping
+            chi2, outliers = new_chi2, new_outliers
             if done:
                 break
-        if done and count == pixels.shape[1]:
+        if done and outliers == 0:
             break
-    factor[:] = normal
-    if count <= size or not factorise(factor, size):
+    factor[:], freedom = normal, usable - outliers - size
+    if freedom <= 0 or not factorise(factor, size):
         return p, none, np.inf, 0
     covariance = np.eye(size)
     for i in range(size):
         substitute(factor, size, covariance[i])
-    return p, covariance, chi2 / (count - size), count - size
+    return p, covariance, chi2 / freedom, freedom
 
 
 @kernel
@@ -189,13 +191,12 @@ def best_stretches(total: FloatArray, lengths: IntArray) -> tuple[FloatArray, Fl
     reach = len(total) // 2 - 1
     best, middle = np.full(len(lengths), -np.inf), np.zeros(len(lengths))
     for n in range(len(lengths)):
-        length = lengths[n]
-        most = -np.inf
+        length, most, where = lengths[n], -np.inf, reach
         for first in range(max(reach - length + 1, 0), min(reach + 1, len(total) - length)):
             light = total[first + length] - total[first]
-            if light > most:
-                most, middle[n] = light, first + 0.5 * length - reach - 0.5
-        best[n] = most / math.sqrt(length)
+            better = light > most  # two selections: a branch would often be mispredicted
+            most, where = light if better else most, first if better else where
+        best[n], middle[n] = most / math.sqrt(length), where + 0.5 * length - reach - 0.5
     return best, middle
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.detection.matched import matched_kernel
+from startracker.detection.matched import matched_kernel, quantiles
 from startracker.detection.motion import motion_at
 from startracker.detection.plane import Plane
-from startracker.kernels import kernel
+from startracker.kernels import kernel, pixel_kernel
 
 FloatImage = NDArray[np.float32]
 
@@ -30,11 +30,12 @@ _MOST_LINES = 40
 _LOOKED_AT = 600
 _NARROW_RAD = math.radians(8.0)
 """Directions searched on either side of one that the objects of a frame suggest."""
+_ROWS_AT_ONCE = 16
 _BIN_MIDDLE = np.array([0.5, 0.5, 0.0, 0.0])
 """A bin's middle from its corner, in the columns of a line."""
 
 
-@kernel
+@pixel_kernel
 def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     """Residual / noise summed over squares, divided by `side`: white noise keeps standard deviation 1.
 
@@ -59,7 +60,7 @@ def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     return out
 
 
-@kernel
+@pixel_kernel
 def best_lines(
     bins: FloatImage, slopes: FloatArray, every: NDArray[np.int64], spans: NDArray[np.int64]
 ) -> tuple[FloatImage, NDArray[np.int32]]:
@@ -223,7 +224,7 @@ def _lines_one_way(rows: FloatImage, lengths: FloatArray, angle_rad: float | Non
     smooth[:-1] += rows[1:]
     np.clip(smooth * np.float32(1.0 / math.sqrt(6.0)), -_CLIP, _CLIP, out=smooth)
     spans = np.rint(lengths[None, :] / 4.0 / np.hypot(1.0, slopes)[:, None]).astype(np.int64)
-    best, line = best_lines(np.ascontiguousarray(smooth.T), 2.0 * slopes, every, np.maximum(spans, 2))
+    best, line = best_lines(_transposed(smooth), 2.0 * slopes, every, np.maximum(spans, 2))
     x, y = _peaks(best, COARSE_SIGMA)
     number, length = np.divmod(line[x, y], len(lengths))
     span = spans[number, length]
@@ -252,8 +253,8 @@ def lines_along(bins: FloatImage, scale: float, motion: FloatArray, threshold: f
     sample = response[np.isfinite(response)]
     if not len(sample):
         return np.empty((0, 2))
-    low, middle = np.quantile(sample[:: max(1, len(sample) // 16384)], (0.158655, 0.5))
-    limit = float(middle) + threshold * max(float(middle - low), 1e-6)
+    low, middle = quantiles(sample[:: max(1, len(sample) // 16384)].copy(), (0.158655, 0.5))
+    limit = middle + threshold * max(middle - low, 1e-6)
     y, x = _peaks(response, limit)
     order = np.argsort(-response[y, x], kind="stable")[: 10 * _LOOKED_AT]
     xy = np.column_stack([x, y])[order].astype(np.float64)
@@ -287,19 +288,28 @@ def _response(bins: FloatImage, scale: float, motion: FloatArray) -> FloatImage:
             span = max(round(abs(along)), 1)
             if span >= part.shape[0 if turned else 1]:
                 continue
-            columns_first = part if turned else part.T
             best, _ = best_lines(
-                np.ascontiguousarray(columns_first),
+                np.ascontiguousarray(part) if turned else _transposed(part),
                 np.array([across / along if along else 0.0]),
                 np.ones(1, np.int64),
                 np.array([[span]]),
             )
-            best = best if turned else best.T
+            best = best if turned else _transposed(best)
             out[top:bottom, left:right] = best[top - y0 : bottom - y0, left - x0 : right - x0]
     x, y = np.arange(width) - _middle(bins)[0], np.arange(height) - _middle(bins)[1]
     half_x, half_y = 0.5 * (motion[0] / scale - motion[2] * y), 0.5 * (motion[1] / scale + motion[2] * x)
-    out[np.abs(x)[None, :] > (0.5 * (width - 1) - np.abs(half_x))[:, None]] = -np.inf
-    out[np.abs(y)[:, None] > (0.5 * (height - 1) - np.abs(half_y))[None, :]] = -np.inf
+    for map_, at, half in ((out, x, half_x), (out.T, y, half_y)):
+        reach, room = math.ceil(float(np.abs(half).max())) + 1, 0.5 * (len(at) - 1) - np.abs(half)
+        for border in (slice(None, reach), slice(-reach, None)):
+            map_[:, border][np.abs(at[border]) > room[:, None]] = -np.inf
+    return out
+
+
+def _transposed(values: FloatImage) -> FloatImage:
+    """A copy with rows as columns, some rows at a time: a column of a large map takes a line of the cache a number."""
+    out = np.empty(values.shape[::-1], values.dtype)
+    for row in range(0, len(values), _ROWS_AT_ONCE):
+        out[:, row : row + _ROWS_AT_ONCE] = values[row : row + _ROWS_AT_ONCE].T
     return out
 
 
@@ -318,12 +328,13 @@ def _peaks(height: FloatImage, threshold: float) -> tuple[NDArray[np.int64], NDA
 def _smooth_bins(bins: FloatImage, sigma: float) -> FloatImage:
     """Correlated with a star image of σ bins; white noise keeps its size."""
     kernel = matched_kernel(sigma).astype(np.float32)
-    reach, part = len(kernel) // 2, np.empty_like(bins)
+    middle, part = len(kernel) // 2, np.empty_like(bins)
     for axis in (0, 1):
-        total = np.zeros_like(bins)
-        for k in range(len(kernel)):
-            np.multiply(bins, kernel[k], out=part)
-            here, there = (slice(max(side, 0), min(side, 0) or None) for side in (reach - k, k - reach))
-            total[here if axis == 0 else (slice(None), here)] += part[there if axis == 0 else (slice(None), there)]
+        total = bins * kernel[middle]
+        for k in range(1, middle + 1):
+            np.multiply(bins, kernel[middle + k], out=part)
+            later, earlier = (np.s_[k:], np.s_[:-k]) if axis == 0 else (np.s_[:, k:], np.s_[:, :-k])
+            total[later] += part[earlier]
+            total[earlier] += part[later]
         bins = total
     return bins

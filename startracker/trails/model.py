@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part, kernel_with
+from startracker.kernels import kernel, kernel_part, kernel_with, pixel_kernel
 
 FloatImage = NDArray[np.float32]
+
+_Line = tuple[float, float, float, float, float, float]
+"""Middle x and y, cosine and sine of the direction, half length, 1 / width."""
+_Light = tuple[float, float, float]
+"""Light, level beside the trail, DN an electron."""
 
 X, Y, FLUX, SKY, ANGLE, HALF, SIGMA = range(7)
 """Parameters of a trail: middle, px; light and level beside it, DN; direction, rad; half length and width, px."""
@@ -27,13 +32,14 @@ _A_SIGMA = 64
 _Z = np.arange(-_FAR, _FAR + 2.0 / _A_SIGMA, 1.0 / _A_SIGMA)
 _DENSITY = np.exp(-0.5 * _Z**2) / math.sqrt(2.0 * math.pi)
 _AREA = np.array([0.5 * math.erfc(-z / math.sqrt(2.0)) for z in _Z])
-WORK_ROWS = LINE + 6
+BLOCK, WORK_ROWS = 64, LINE + 6
+_BLOCK = np.uint64(BLOCK)
 _WEIGHT, _REST, _SCALED, _ALONG, _FIRST, _LAST = range(LINE, WORK_ROWS)
 """Rows of the working space after the slopes: weights, residuals, their products with a slope; integral along the
 trail, and the densities at its two ends."""
 
 
-@kernel
+@pixel_kernel
 def residual_of(image: Image, level: Plane, saturation: float) -> FloatImage:
     """Image minus background, DN; not a number where the image is not finite or saturated."""
     height, width = image.shape
@@ -64,31 +70,38 @@ def _row_spans(p: FloatArray, beyond: float, beside: float, height: int, width: 
         if abs(sin) > 1e-6:
             middle, reach = dy * cos / sin, beside / abs(sin)
             left, right = max(left, middle - reach), min(right, middle + reach)
-        spans[k, 0], spans[k, 1] = max(0, math.ceil(p[X] + left)), min(width, math.floor(p[X] + right) + 1)
+        first = max(0, math.ceil(p[X] + left))
+        spans[k, 0], spans[k, 1] = first, max(first, min(width, math.floor(p[X] + right) + 1))
     return top, spans
 
 
 @kernel_part
-def window_pixels(residual: FloatImage, noise: Plane, p: FloatArray, slack: float) -> FloatArray:
-    """Columns x, y, value and variance (4, N) of the usable pixels about a trail."""
+def window_pixels(residual: FloatImage, noise: Plane, p: FloatArray, slack: float) -> tuple[FloatArray, int]:
+    """Columns x, y, value and variance (4, N) of the pixels about a trail, from its beginning to its end, in whole
+    blocks, and how many are usable: the variance of the others is infinite."""
     beyond, beside = p[HALF] + _BEYOND_SIGMAS * p[SIGMA] + slack, _ACROSS_SIGMAS * p[SIGMA] + 1.0
-    top, spans = _row_spans(p, beyond, beside, residual.shape[0], residual.shape[1])
-    count = 0
+    height, width = residual.shape
+    flat = abs(math.cos(p[ANGLE])) > abs(math.sin(p[ANGLE]))
+    line = p.copy()
+    if flat:  # column by column, so that only a few blocks are near an end of the trail
+        line[X], line[Y], line[ANGLE], height, width = p[Y], p[X], 0.5 * math.pi - p[ANGLE], width, height
+    top, spans = _row_spans(line, beyond, beside, height, width)
+    pixels = np.zeros((4, (spans[:, 1].sum() - spans[:, 0].sum() + BLOCK - 1) // BLOCK * BLOCK))
+    pixels[3] = np.inf
+    usable, k = 0, np.uint64(0)
     for j in range(len(spans)):
-        for x in range(spans[j, 0], spans[j, 1]):
-            count += int(is_value(residual[top + j, x]))
-    pixels, k = np.empty((4, count)), np.uint64(0)
-    for j in range(len(spans)):
-        y = top + j
-        cell, share = noise.cell[y], noise.share[y]
-        below = min(cell + 1, len(noise.lines) - 1)
-        for x in range(spans[j, 0], spans[j, 1]):
-            if is_value(residual[y, x]):
-                upper = noise.lines[cell, x]
-                sigma = np.float64(upper + share * (noise.lines[below, x] - upper))
-                pixels[0, k], pixels[1, k], pixels[2, k], pixels[3, k] = x, y, residual[y, x], sigma * sigma
-                k += np.uint64(1)
-    return pixels
+        if spans[j, 0] == spans[j, 1]:
+            continue
+        middle = (spans[j, 0] + spans[j, 1]) // 2  # the noise hardly varies across a trail
+        sigma = np.float64(noise[middle, top + j] if flat else noise[top + j, middle])
+        for i in range(spans[j, 0], spans[j, 1]):
+            x, y = (top + j, i) if flat else (i, top + j)
+            good = is_value(residual[y, x])
+            pixels[0, k], pixels[1, k] = x, y
+            pixels[2, k], pixels[3, k] = residual[y, x] if good else 0.0, sigma * sigma if good else np.inf
+            usable += int(good)
+            k += np.uint64(1)
+    return pixels, usable
 
 
 @kernel_part
@@ -112,115 +125,130 @@ def _interpolated(table: FloatArray, z: float) -> float:
     return value
 
 
+# sums in any order: added up in the order of the pixels each sum waits for the one before
 @kernel_with(fastmath={"reassoc"})
 def linearise(
-    pixels: FloatArray, p: FloatArray, size: int, inverse_gain: float, outlier: float, work: FloatArray
-) -> tuple[float, int]:
-    """χ² of a trail in its pixels (4, N), and the number of pixels within 5 standard errors.
+    pixels: FloatArray, p: FloatArray, size: int, inverse_gain: float, outlier: float, work: FloatArray,
+    normal: FloatArray, right: FloatArray,
+) -> tuple[float, int]:  # fmt: skip
+    """χ² of a trail in its pixels (4, N), and the number of pixels beyond 5 standard errors; sets the normal matrix
+    (its lower half) and the right side by the first `size` parameters.
 
-    `work` (`WORK_ROWS`, N) gets the slopes by the first `size` parameters, the weights and the residuals. The light of
-    a pixel is F / 2h · [Φ((s + h) / σ) − Φ((s − h) / σ)] · exp(−t² / 2σ²) / (σ √2π) + sky, with s along and t across
-    the trail.
+    The light of a pixel is F / 2h · [Φ((s + h) / σ) − Φ((s − h) / σ)] · exp(−t² / 2σ²) / (σ √2π) + sky, with s along
+    and t across the trail. Pixels pass block by block: `work` (`WORK_ROWS`, `BLOCK`) stays in the nearest cache.
     """
-    cos, sin, flux, sky, half = math.cos(p[ANGLE]), math.sin(p[ANGLE]), p[FLUX], p[SKY], p[HALF]
-    narrow = 1.0 / p[SIGMA]
-    unit, end = narrow / (2.0 * half * math.sqrt(2.0 * math.pi)), half * narrow
-    xs, ys, values, variances = pixels[0], pixels[1], pixels[2], pixels[3]
-    along, first, last = work[_ALONG], work[_FIRST], work[_LAST]
-    count = np.uint64(pixels.shape[1])
-    for k in range(count):
-        along[k] = ((xs[k] - p[X]) * cos + (ys[k] - p[Y]) * sin) * narrow
-    for k in range(count):
-        # most pixels of a long trail are far from its ends
-        s, along[k], first[k], last[k] = along[k], 1.0, 0.0, 0.0
-        if s + end < _FAR:
-            along[k], first[k] = _interpolated(_AREA, s + end), _interpolated(_DENSITY, s + end)
-        if s - end > -_FAR:
-            along[k], last[k] = along[k] - _interpolated(_AREA, s - end), _interpolated(_DENSITY, s - end)
-    chi2, usable, limit = 0.0, 0, outlier**2
-    for k in range(count):
-        t = ((ys[k] - p[Y]) * cos - (xs[k] - p[X]) * sin) * narrow
+    chi2, outliers = 0.0, 0
+    line = p[X], p[Y], math.cos(p[ANGLE]), math.sin(p[ANGLE]), p[HALF], 1.0 / p[SIGMA]
+    light = p[FLUX], p[SKY], inverse_gain
+    normal[:], right[:] = 0.0, 0.0
+    for first in range(0, pixels.shape[1], BLOCK):
+        begin = np.uint64(first)
+        _share_along(pixels, begin, line, work)
+        block_chi2, beyond = _slopes(pixels, begin, line, light, outlier, work)
+        chi2, outliers = chi2 + block_chi2, outliers + beyond
+        if size > POSITION:
+            _slopes_by_form(pixels, begin, line, light, work)
+        for i in range(size):
+            total = 0.0
+            for k in range(_BLOCK):
+                work[_SCALED, k] = work[_WEIGHT, k] * work[i, k]
+                total += work[_SCALED, k] * work[_REST, k]
+            right[i] += total
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(_BLOCK):
+                    total += work[_SCALED, k] * work[j, k]
+                normal[i, j] += total
+    return chi2, outliers
+
+
+@kernel_part
+def _share_along(pixels: FloatArray, begin: np.uint64, line: _Line, work: FloatArray) -> None:
+    """Integral along the trail, and the densities at its ends, of a block of pixels."""
+    x, y, cos, sin, half, narrow = line
+    end, starts, ends = half * narrow, 0, 0
+    for k in range(_BLOCK):
+        s = ((pixels[0, begin + k] - x) * cos + (pixels[1, begin + k] - y) * sin) * narrow
+        work[_SCALED, k], work[_ALONG, k], work[_FIRST, k], work[_LAST, k] = s, 1.0, 0.0, 0.0
+        starts, ends = starts + int(s + end < _FAR), ends + int(s - end > -_FAR)
+    # most blocks of a long trail are far from its ends
+    if starts > 0:
+        for k in range(_BLOCK):
+            z = work[_SCALED, k] + end
+            work[_ALONG, k], work[_FIRST, k] = _interpolated(_AREA, z), _interpolated(_DENSITY, z)
+    if ends > 0:
+        for k in range(_BLOCK):
+            z = work[_SCALED, k] - end
+            work[_ALONG, k] -= _interpolated(_AREA, z)
+            work[_LAST, k] = _interpolated(_DENSITY, z)
+
+
+@kernel_part
+def _slopes(
+    pixels: FloatArray, begin: np.uint64, line: _Line, light: _Light, outlier: float, work: FloatArray
+) -> tuple[float, int]:
+    """χ² of a block of pixels and its outliers; sets residuals, weights and the slopes by position and light."""
+    (x, y, cos, sin, half, narrow), (flux, sky, inverse_gain) = line, light
+    unit, chi2, outliers, limit = narrow / (2.0 * half * math.sqrt(2.0 * math.pi)), 0.0, 0, outlier**2
+    for k in range(_BLOCK):
+        t = ((pixels[1, begin + k] - y) * cos - (pixels[0, begin + k] - x) * sin) * narrow
         across = unit * _decay(0.5 * t * t)
-        share = across * along[k]
-        rest = values[k] - flux * share - sky
-        weight = 1.0 / (variances[k] + max(flux * share, 0.0) * inverse_gain)
+        share = across * work[_ALONG, k]
+        rest = pixels[2, begin + k] - flux * share - sky
+        weight = 1.0 / (pixels[3, begin + k] + max(flux * share, 0.0) * inverse_gain)
         error2 = rest * rest * weight
-        usable += int(error2 <= _OUTLIER**2)
+        outliers += int(error2 > _OUTLIER**2)
         chi2 += min(error2, limit)
         # a hot pixel or a cosmic ray: of no use, and dear enough not to be thrown away for a better χ²
         work[_WEIGHT, k], work[_REST, k] = weight if error2 <= limit else 0.0, rest
-        by_s, by_t = flux * across * (first[k] - last[k]) * narrow, -flux * share * t * narrow
+        by_s, by_t = flux * across * (work[_FIRST, k] - work[_LAST, k]) * narrow, -flux * share * t * narrow
         work[X, k], work[Y, k] = by_t * sin - by_s * cos, -by_s * sin - by_t * cos
         work[FLUX, k], work[SKY, k] = share, 1.0
-    if size > POSITION:
-        _by_form(pixels, p, work)
-    return chi2, usable
+    return chi2, outliers
 
 
-@kernel
-def _by_form(pixels: FloatArray, p: FloatArray, work: FloatArray) -> None:
-    """Slopes by direction, half length and width, the others being known."""
-    cos, sin, narrow = math.cos(p[ANGLE]), math.sin(p[ANGLE]), 1.0 / p[SIGMA]
-    flux, half, end = p[FLUX], p[HALF], p[HALF] / p[SIGMA]
-    for k in range(np.uint64(pixels.shape[1])):
-        dx, dy = pixels[0, k] - p[X], pixels[1, k] - p[Y]
+@kernel_part
+def _slopes_by_form(pixels: FloatArray, begin: np.uint64, line: _Line, light: _Light, work: FloatArray) -> None:
+    """Slopes of a block by direction, half length and width, the others being known."""
+    (x, y, cos, sin, half, narrow), flux = line, light[0]
+    end, unit = half * narrow, narrow / (2.0 * half * math.sqrt(2.0 * math.pi))
+    for k in range(_BLOCK):
+        dx, dy = pixels[0, begin + k] - x, pixels[1, begin + k] - y
         s, t = (dx * cos + dy * sin) * narrow, (dy * cos - dx * sin) * narrow
         share, first, last = work[FLUX, k], work[_FIRST, k], work[_LAST, k]
-        across = narrow / (2.0 * half * math.sqrt(2.0 * math.pi)) * _decay(0.5 * t * t)
+        across = unit * _decay(0.5 * t * t)
         work[ANGLE, k] = work[Y, k] * dx - work[X, k] * dy
         work[HALF, k] = flux * (across * (first + last) * narrow - share / half)
         ends = (s - end) * last - (s + end) * first
         work[SIGMA, k] = flux * narrow * (across * ends + share * (t * t - 1.0))
 
 
-# sums in any order: added up in the order of the pixels each sum waits for the one before
-@kernel_with(fastmath={"reassoc"})
-def normal_equations(work: FloatArray, size: int, normal: FloatArray, right: FloatArray) -> None:
-    """Normal matrix, its lower half, and right side of what `linearise` has set."""
-    weight, rest, scaled = work[_WEIGHT], work[_REST], work[_SCALED]
-    for i in range(size):
-        slope, total = work[i], 0.0
-        for k in range(len(weight)):
-            scaled[k] = weight[k] * slope[k]
-            total += scaled[k] * rest[k]
-        right[i] = total
-        for j in range(i + 1):
-            other, total = work[j], 0.0
-            for k in range(len(weight)):
-                total += scaled[k] * other[k]
-            normal[i, j] = total
-
-
 @kernel_part
-def set_light(pixels: FloatArray, p: FloatArray, work: FloatArray) -> None:
+def set_light(pixels: FloatArray, p: FloatArray, work: FloatArray, normal: FloatArray, right: FloatArray) -> None:
     """Set flux and sky to what suits the other parameters, in which the light is linear."""
     p[FLUX], p[SKY] = 1.0, 0.0
-    linearise(pixels, p, POSITION, 0.0, np.inf, work)
-    normal, right = np.empty((POSITION, POSITION)), np.empty(POSITION)
-    normal_equations(work, POSITION, normal, right)
+    linearise(pixels, p, POSITION, 0.0, np.inf, work, normal, right)
     determinant = normal[FLUX, FLUX] * normal[SKY, SKY] - normal[SKY, FLUX] ** 2
     more = (right[FLUX] * normal[SKY, SKY] - right[SKY] * normal[SKY, FLUX]) / determinant
     p[SKY] = (right[SKY] * normal[FLUX, FLUX] - right[FLUX] * normal[SKY, FLUX]) / determinant
     p[FLUX] += more
 
 
-@kernel
+@pixel_kernel
 def subtract_trail(residual: FloatImage, p: FloatArray, sign: float) -> None:
     """Subtract a trail from the residual in place (`sign` −1: add it again); its sky is left."""
     cos, sin, narrow = math.cos(p[ANGLE]), math.sin(p[ANGLE]), 1.0 / p[SIGMA]
     end = p[HALF] * narrow
     top, spans = _row_spans(p, p[HALF] + _FAR * p[SIGMA], _FAR * p[SIGMA], residual.shape[0], residual.shape[1])
     unit = sign * p[FLUX] * narrow / (2.0 * p[HALF] * math.sqrt(2.0 * math.pi))
+    x0 = p[X]
     for j in range(len(spans)):
-        dy = top + j - p[Y]
-        for x in range(spans[j, 0], spans[j, 1]):
-            s, t = ((x - p[X]) * cos + dy * sin) * narrow, (dy * cos - (x - p[X]) * sin) * narrow
-            along = 1.0
-            if s + end < _FAR:
-                along = _interpolated(_AREA, s + end)
-            if s - end > -_FAR:
-                along -= _interpolated(_AREA, s - end)
-            residual[top + j, x] -= np.float32(unit * along * _decay(0.5 * t * t))
+        y, dy = np.uint64(top + j), top + j - p[Y]
+        for x in range(np.uint64(spans[j, 0]), np.uint64(spans[j, 1])):
+            dx = np.float64(x) - x0
+            s, t = (dx * cos + dy * sin) * narrow, (dy * cos - dx * sin) * narrow
+            along = _interpolated(_AREA, s + end) - _interpolated(_AREA, s - end)
+            residual[y, x] -= np.float32(unit * along * _decay(0.5 * t * t))
 
 
 @kernel_part

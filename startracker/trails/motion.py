@@ -17,10 +17,11 @@ from startracker.detection.motion import agrees, common_motion, motion_at
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import MOTION_TOLERANCE_PX, MOTION_TOLERANCE_SHARE
 from startracker.geometry.camera import Camera
+from startracker.sorting import median
 from startracker.trails.fit import best_stretches, fit_trail, light_along
 from startracker.trails.lines import COARSE_SIGMA, LONGEST_SHARE
 from startracker.trails.model import ANGLE, FLUX, HALF, LINE, SIGMA, TURNED, X, Y
-from startracker.trails.turn import PROJECTED_PX, Turn, fit_turn
+from startracker.trails.turn import PROJECTED_PX, Turn, axes_of, fit_turn, weighted_step
 
 FloatImage = NDArray[np.float32]
 
@@ -42,8 +43,6 @@ _CUT_PX = 4.0
 """A trail that ends nearer to the border may go on beyond."""
 _LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1
 """What else trails may differ by: a flat image stretches towards its corners by the square of the angle."""
-_CAUCHY = 2.4
-"""Residual in standard errors at which a trail has half its weight (95 % efficiency)."""
 
 
 class Signal(NamedTuple):
@@ -106,7 +105,10 @@ def within(signal: Signal, table: FloatArray, margin: FloatArray | float) -> Fla
 
 def _is_whole(signal: Signal, line: FloatArray) -> bool:
     """Whether a line (7,) has both ends inside the image by `_CUT_PX`."""
-    return bool(within(signal, line[None], _CUT_PX)[0])
+    height, width = signal.residual.shape
+    x, y, _, _, angle, half, _ = line.tolist()  # numbers: arrays of one line take twenty times as long
+    margin_x, margin_y = half * abs(math.cos(angle)) + _CUT_PX, half * abs(math.sin(angle)) + _CUT_PX
+    return bool(margin_x <= x <= width - 1.0 - margin_x and margin_y <= y <= height - 1.0 - margin_y)
 
 
 def find_motion(
@@ -185,7 +187,7 @@ def _lengthened(motion: FloatArray, xy: FloatArray, trails: FloatArray, straight
     near = squares.copy()
     np.maximum(near[:, 1:], squares[:, :-1], out=near[:, 1:])
     np.maximum(near[:, :-1], squares[:, 1:], out=near[:, :-1])
-    scale = lengths / float(np.median(size))
+    scale = lengths / median(size.copy())
     index = np.minimum(np.searchsorted(lengths, size[along, None] * scale), len(lengths) - 1)
     short_by = squares.max(axis=1)[:, None] - np.take_along_axis(near, index, axis=1)
     loss = np.minimum(short_by, _LOSS).sum(axis=0)
@@ -223,7 +225,7 @@ def _fitted(
     turn = None
     if camera is not None and math.hypot(*motion[:2]) > PROJECTED_PX:
         turn = fit_turn(made[:, [X, Y]], trails, variance, motion, camera)
-    sigma = float(np.median(made[:_WIDTH_TRAILS, SIGMA])) if measure_sigma else float(straight.table[0, SIGMA])
+    sigma = median(made[:_WIDTH_TRAILS, SIGMA].copy()) if measure_sigma else float(straight.table[0, SIGMA])
     return CommonMotion(motion, covariance, signal.middle, sigma, turn)
 
 
@@ -235,15 +237,13 @@ def _weighted_motion(
 
     Directions of long trails are known far better than their lengths; two trails in line look like one longer one.
     """
-    along = trails / np.hypot(*trails.T)[:, None]
-    axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
+    axes = axes_of(trails)
     ones, zeros = np.ones(len(xy)), np.zeros(len(xy))
     design = np.stack([np.column_stack([ones, zeros, -xy[:, 1]]), np.column_stack([zeros, ones, xy[:, 0]])], axis=1)
     design = (axes @ design) / np.sqrt(variance)[:, :, None]
+    length = np.hypot(*trails.T) / np.sqrt(variance[:, 0])
     for _ in range(8):
-        sign = np.where((motion_at(xy, motion) * trails).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-        target = (axes @ (sign * trails)[:, :, None])[:, :, 0] / np.sqrt(variance)
-        weight = 1.0 / (1.0 + ((design @ motion - target) / _CAUCHY) ** 2)
-        normal = np.einsum("nik,ni,nij->kj", design, weight, design)
-        motion = np.linalg.solve(normal, np.einsum("nik,ni,ni->k", design, weight, target))
+        target = np.zeros((len(xy), 2))
+        target[:, 0] = np.where(design[:, 0] @ motion < 0.0, -length, length)
+        motion, normal = weighted_step(design, target, motion)
     return motion, np.asarray(np.linalg.inv(normal))

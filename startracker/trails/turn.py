@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray
 from startracker.centroid.psf_fit import MISFIT_SIGMA
 from startracker.centroid.result import Centroids
+from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
 from startracker.trails.result import Trails
 
@@ -30,6 +31,7 @@ _FORM_ERROR_PX = 0.1
 PROJECTED_PX = 20.0
 """Of shorter trails the motion that the search found says enough: its error moves a star by 0.002 px."""
 _CAUCHY = 2.4
+"""Residual in standard errors at which a trail has half its weight (95 % efficiency)."""
 _STEPS = 6
 _STEP_RAD = 1e-6
 
@@ -45,7 +47,7 @@ class Turn(NamedTuple):
         """Line (N, 2), px, from the beginning to the end of a trail about each position, and the variance of its
         length (N,)."""
         lines, slopes = _spans_and_slopes(self.camera.unproject(xy), self.half, self.camera)
-        by_turn = np.einsum("ni,nik->nk", _axes(lines)[:, 0], slopes)
+        by_turn = np.einsum("ni,nik->nk", axes_of(lines)[:, 0], slopes)
         return lines, np.einsum("nk,kj,nj->n", by_turn, self.covariance, by_turn)
 
 
@@ -57,7 +59,7 @@ def mid_exposure(trails: Trails, camera: Camera) -> Centroids:
     error that all stars share is that of the turn.
     """
     stars, own = trails.centroids, trails.fitted_alone
-    xy, axes = stars.xy, _axes(trails.lengths[own])
+    xy, axes = stars.xy, axes_of(trails.lengths[own])
     variance = np.einsum("nij,njk,nik->ni", axes, stars.covariance[own], axes) * (_ENDS, _TILT)
     turn = fit_turn(xy[own], trails.lengths[own], variance, trails.motion, camera)
     steps = np.vstack([np.zeros(3), np.diag(np.sqrt(np.diag(turn.covariance)))])
@@ -74,7 +76,7 @@ def _widening(turn: Turn, xy: FloatArray, measured: FloatArray, variance: FloatA
     if np.hypot(*turn.half[:2]) * 2.0 * turn.camera.fx < PROJECTED_PX:
         return np.ones(len(xy))
     lines, by_turn = turn.lines_at(xy)
-    off = np.einsum("nij,nj->ni", _axes(lines), np.where(_opposite(lines, measured), -1.0, 1.0) * measured - lines)
+    off = np.einsum("nij,nj->ni", axes_of(lines), np.where(_opposite(lines, measured), -1.0, 1.0) * measured - lines)
     error2 = variance + _FORM_ERROR_PX**2 + np.column_stack([by_turn, np.zeros(len(xy))])
     away = (off**2 / error2).max(axis=1, initial=0.0)
     return np.where(away > MISFIT_SIGMA**2, away, 1.0)
@@ -106,31 +108,38 @@ def fit_turn(xy: FloatArray, measured: FloatArray, variance: FloatArray, motion:
         return Turn(start, np.asarray(np.linalg.inv(information)), camera)
     lines, slopes = _spans_and_slopes(camera.unproject(xy), start, camera)
     sign = np.where(_opposite(lines, measured), -1.0, 1.0)
-    axes, scale = _axes(lines), 1.0 / np.sqrt(variance)
+    axes, scale = axes_of(lines), 1.0 / np.sqrt(variance)
     design = (axes @ slopes) * scale[:, :, None]
     off = np.einsum("nij,nj->ni", axes, sign * measured - lines) * scale
     correction = np.zeros(3)
     for _ in range(_STEPS):
-        weight = 1.0 / (1.0 + ((off - design @ correction) / _CAUCHY) ** 2)
-        normal = np.einsum("nik,ni,nij->kj", design, weight, design) + information
-        correction = np.linalg.solve(normal, np.einsum("nik,ni,ni->k", design, weight, off))
+        correction, normal = weighted_step(design, off, correction, information)
     return Turn(start + correction, np.asarray(np.linalg.inv(normal)), camera)
 
 
-def _axes(lengths: FloatArray) -> FloatArray:
+def weighted_step(
+    design: FloatArray, target: FloatArray, found: FloatArray, information: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Unknowns (3,) from the slopes (N, 2, 3) and values (N, 2) of trails, all in standard errors, outliers held down
+    by their distance from what was found before; and the normal matrix."""
+    slopes, values = design.reshape(-1, 3), target.ravel()
+    weighted = slopes.T / (1.0 + ((values - slopes @ found) / _CAUCHY) ** 2)
+    normal = weighted @ slopes + information
+    return np.asarray(np.linalg.solve(normal, weighted @ values)), normal
+
+
+def axes_of(lengths: FloatArray) -> FloatArray:
     """Unit vectors along and across trails (..., 2, 2)."""
-    along = lengths / np.maximum(np.linalg.norm(lengths, axis=-1, keepdims=True), 1e-12)
-    return np.stack([along, np.stack([-along[..., 1], along[..., 0]], axis=-1)], axis=-2)
+    axes, length = np.empty((*lengths.shape, 2)), np.maximum(np.hypot(lengths[..., 0], lengths[..., 1]), 1e-12)
+    axes[..., 0, :] = lengths / length[..., None]
+    axes[..., 1, 0], axes[..., 1, 1] = -axes[..., 0, 1], axes[..., 0, 0]
+    return axes
 
 
 def _ends(here: FloatArray, halves: FloatArray, camera: Camera) -> FloatArray:
     """Pixels (2, K, N, 2) of directions (N, 3) turned back and forth by rotation vectors (K, 3)."""
-    angle = np.linalg.norm(halves, axis=1)[:, None, None]
-    axis = halves[:, None, :] / np.maximum(angle, 1e-15)
-    along = (here * axis).sum(axis=2, keepdims=True) * axis
-    still, side = (here - along) * np.cos(angle) + along, np.cross(axis, here) * np.sin(angle)
-    turned = np.stack([still - side, still + side])
-    return camera.project(turned.reshape(-1, 3)).reshape(*turned.shape[:3], 2)
+    turned = here @ np.array([rotation_vector_to_matrix(sign * half).T for sign in (1.0, -1.0) for half in halves])
+    return camera.project(turned.reshape(-1, 3)).reshape(2, len(halves), len(here), 2)
 
 
 def _spans_and_slopes(here: FloatArray, half: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
@@ -143,7 +152,7 @@ def _spans_and_slopes(here: FloatArray, half: FloatArray, camera: Camera) -> tup
 def _bows(xy: FloatArray, camera: Camera, halves: FloatArray) -> FloatArray:
     """How far the middle of a trail lies from where its star stood at mid-exposure (K, N, 2), px."""
     begin, end = _ends(camera.unproject(xy), halves, camera)
-    off, unit = 0.5 * (begin + end) - xy, _axes(end - begin)[..., 0, :]
+    off, unit = 0.5 * (begin + end) - xy, axes_of(end - begin)[..., 0, :]
     along = (off * unit).sum(axis=-1, keepdims=True) * unit
     bow = along + (off - along) / 3.0
     return np.where(np.isfinite(bow), bow, 0.0)
