@@ -192,7 +192,7 @@ class _Search:
     @cached_property
     def _counts(self) -> VoteCounts:
         guides, (there, back) = len(self._guide), _bearings(self._near, self._guide)
-        return VoteCounts(there, back, np.empty((guides, 4), np.uint64), np.empty(guides, np.bool_), self._head)
+        return VoteCounts(there, back, np.empty(guides, np.uint64), np.empty((guides, 4), np.uint64), self._head)
 
     @property
     def fits_as_stated(self) -> bool:
