@@ -90,6 +90,8 @@ def _targets(timings: Mapping[str, Timing], processes: Mapping[str, float]) -> T
         row("its 99th percentile", float(np.percentile(timings["identification"].rounds, 99)), 3.0, "ms")
     timed("solve from centroids, lost in space, 10°, V ≤ 6, 11 stars", "solve_centroids", 0.2)
     timed("the same for the cubesat's camera and an observer, 20 to 40 stars", "solve_centroids_observed", 0.2)
+    for points, limit in ((8, 3.0), (15, 10.0), (40, 25.0), (100, 60.0)):
+        timed(f"{points} random points, 10°, V ≤ 6.5: refused", f"no_sky[{points}]", limit)
     timed("tracking update from centroids", "tracking", 0.1)
     if "database" in timings:
         database = timings["database"]

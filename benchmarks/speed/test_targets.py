@@ -8,7 +8,7 @@ import pytest
 from benchmarks.cases import CASES
 from benchmarks.database import megabytes
 from benchmarks.frames import FrameCase
-from benchmarks.scenes import SceneMaker
+from benchmarks.scenes import Case, SceneMaker
 from benchmarks.speed.workload import CUBESAT, PLAIN, even_scenario, expose, renderer, scene, small_scenario
 from simulator import Scenario
 from simulator.study.trials.blocks import run_block
@@ -113,6 +113,13 @@ def test_solve_centroids_observed(timed):
                 return xy + NOISE_PX * rng.normal(size=xy.shape), 10.0 ** (-0.4 * guide.v_mag[which])
 
     timed(lambda given: tracker.solve_centroids(*given, sigma_px=NOISE_PX, observer=observer), field, SCENES, 20)
+
+
+@pytest.mark.parametrize("points", [8, 15, 40, 100])
+def test_no_sky(timed, points):
+    case = Case(f"{points} random points", sky=False, false_stars=points)
+    maker, tracker = SceneMaker(case, 4), StarTracker(case.camera(), magnitude_limit=case.magnitude_limit)
+    assert not timed(lambda given: tracker.solve_centroids(given.xy, given.flux), maker.scene, 60).solved
 
 
 def test_database(timed, benchmark):

@@ -40,6 +40,7 @@ from startracker.identification.search_state import Guides, Limits, Pairs
 from startracker.identification.triangles import PAIR_SIGMAS, first_triangles, similar_triangles
 from startracker.identification.verification import GATE_SIGMAS
 from startracker.settings import AdaptiveSettings, IdentificationSettings
+from startracker.sorting import median
 
 TIGHT, MIDDLE, WIDE = 2.2, 7.0, 16.0
 """Multiples of the stated errors: 0.15 px stated becomes 0.33, 1 and 2.4 px."""
@@ -178,7 +179,7 @@ class _Search:
     @cached_property
     def _sigma(self) -> float:
         """Stated standard error of most stars, rad."""
-        return float(np.median(self._stars.sigma))
+        return float(median(self._stars.sigma.copy()))
 
     @cached_property
     def _nearest(self) -> IntArray:
@@ -192,7 +193,7 @@ class _Search:
     @cached_property
     def _counts(self) -> VoteCounts:
         guides, (there, back) = len(self._guide), _bearings(self._near, self._guide)
-        return VoteCounts(there, back, np.empty((guides, 4), np.uint64), np.empty(guides, np.bool_), self._head)
+        return VoteCounts(there, back, np.empty(guides, np.uint64), np.empty((guides, 4), np.uint64), self._head)
 
     @property
     def fits_as_stated(self) -> bool:

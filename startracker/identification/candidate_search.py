@@ -16,6 +16,7 @@ from startracker.identification.other_stars import Confirmation, next_confirmed
 from startracker.identification.search_state import Candidates, Limits, Stars
 from startracker.identification.verification import GATE_SIGMAS, Verified, is_known, verify_attitude
 from startracker.kernels import kernel
+from startracker.sorting import median
 
 _VERIFY_FROM = 7.0
 """Smallest multiple of the stated errors with which a verification begins."""
@@ -126,19 +127,19 @@ class Verifier:
         if effort.occupancy.reach2 > 0.0 or effort.found < many:
             return
         gate = GATE_SIGMAS * effort.limits.scale
-        effort.occupancy = occupancy_map(self._sky.directions, lever * gate * float(np.median(self._stars.sigma)))
+        effort.occupancy = occupancy_map(self._sky.directions, lever * gate * median(self._stars.sigma.copy()))
         effort.work += _MAP_WORK * len(self._sky.directions)
 
     def take(self, candidates: Candidates, effort: Effort, work: float) -> None:
         """Verify those candidates that other stars confirm."""
         effort.work += work
         effort.found += len(candidates.focal)
-        at, confirmation = 0, effort.confirmation
+        at = 0
         while at < len(candidates.focal) and not effort.ended:
             if self._latest:
                 self._known, self._latest = np.concatenate([self._known, *self._latest]), []
             at, found, effort.work = next_verified(
-                candidates, at, self._known, self._stars, self._sky, confirmation, effort.limits, effort.work
+                candidates, at, self._known, self._stars, self._sky, effort.confirmation, effort.limits, effort.work
             )
             if found.log_b > _LEAST_LOG_B:
                 self._latest.append(found.matrix[None])

@@ -7,7 +7,9 @@ star and roll with enough votes are the candidates, which the other observed sta
 before one is verified against all (`verification`).
 
 A pole costs one look at the guide pairs of each of its neighbours, where triangles would cost one of each two of them.
-The votes of a guide star are counted for 64 rolls at a time, bit by bit: four words hold a digit of all 64 counts each.
+Few votes agree by chance. All are counted for 32 sectors of the roll, or 16 if more than three must agree, in one word
+for each guide star. Those in sectors with enough of them are counted again for 64 rolls, where four words hold a digit
+of all 64 counts each.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.identification.search_plan import MOST_VOTES
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
-from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, grown, window
+from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, window
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
@@ -29,8 +31,11 @@ BearingArray = NDArray[np.uint16]
 
 _TURN = 65536
 """Units of a bearing to a turn."""
-_ROLL = 1024
-"""The same to one of the 64 rolls."""
+_CELL, _ROLL, _SECTOR, _WIDE_SECTOR = 8, 10, 11, 12
+"""Bits of a bearing within a row of the table of bearings, one of the 64 rolls, and one of the 32 or 16 sectors."""
+_CELLS = _TURN >> _CELL
+_EVERY, _SECOND, _FOURTH = np.uint64(2**64 - 1), np.uint64((2**64 - 1) // 3), np.uint64((2**64 - 1) // 15)
+"""Words with every bit set, every second and every fourth one: those of 64 rolls, 32 and 16 sectors."""
 VOTE_SIGMAS = 2.6
 """A true side is measured within this many standard errors except for 1 in 100, and there are other votes."""
 _LEAST_ERRORS = 3.0
@@ -45,31 +50,33 @@ class VoteCounts(NamedTuple):
     ----------
     there, back : (P,)
         Of `pair_bearings`.
+    sectors : uint64 (G,)
+        Scratch: votes of each guide star for 32 sectors, two bits each, or for 16.
     votes : uint64 (G, 4)
         Scratch: digits of the votes of each guide star for 64 rolls.
-    elected : bool (G,)
-        Scratch: the guide stars with enough votes.
     head : int32 (G,)
         Scratch, −1 throughout; left so.
     """
 
     there: BearingArray
     back: BearingArray
+    sectors: NDArray[np.uint64]
     votes: NDArray[np.uint64]
-    elected: NDArray[np.bool_]
     head: Int32Array
 
 
 class _Neighbours(NamedTuple):
-    """The stars (L,) that vote about a pole: their separations and bearings, the errors of both (`spread` in parts of
-    the separation), the rolls that a vote covers as bits, and the guide pairs of that length."""
+    """The stars (L,) that vote about a pole: how much fainter it is, their separations and bearings, the errors of both
+    (`spread` in parts of the separation), the sectors that votes cover as bits, for guide pairs with a bearing in each
+    256th of a turn, and the guide pairs of that length."""
 
     star: IntArray
+    fainter: FloatArray
     separation: FloatArray
     spread: FloatArray
     bearing: IntArray
     slack: IntArray
-    pattern: NDArray[np.uint64]
+    covered: NDArray[np.uint64]
     low: IntArray
     high: IntArray
 
@@ -99,12 +106,13 @@ def pair_bearings(directions: FloatArray, first: Int32Array, second: Int32Array)
 
 
 @kernel_part
-def _bits(turn: int, slack: int, pattern: np.uint64) -> np.uint64:
-    """Rolls within `slack` of a turn, one bit each."""
-    low = np.uint64(((turn - slack) & (_TURN - 1)) >> 10)
-    high = np.uint64(((turn + slack) & (_TURN - 1)) >> 10)
-    one = np.uint64(1)
-    return (pattern << low) | (pattern >> ((np.uint64(64) - low) & np.uint64(63))) | (one << high)
+def _bits(low: int, width: int, size: int, every: np.uint64) -> np.uint64:
+    """Sectors of 2^`size` that overlap the bearings from `low` to `low + width`, one of the bits in `every` each."""
+    one, step = np.uint64(1), size - _ROLL
+    first = np.uint64((low & (_TURN - 1)) >> size << step)
+    last = np.uint64(((low + width) & (_TURN - 1)) >> size << step)
+    pattern = every & ((one << np.uint64((width >> size) + 1 << step)) - one)
+    return (pattern << first) | (pattern >> ((np.uint64(64) - first) & np.uint64(63))) | (one << last)
 
 
 @kernel_part
@@ -122,12 +130,13 @@ def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
 
 
 @kernel_part
-def _neighbours(pole: int, nearest: IntArray, stars: Stars, pairs: Pairs, limits: Limits) -> _Neighbours:
+def _neighbours(pole: int, nearest: IntArray, need: int, stars: Stars, pairs: Pairs, limits: Limits) -> _Neighbours:
     """Those of the nearest stars whose separation and bearing are useful."""
     n, wide, count = len(nearest), limits.focal_range, 0
-    star, separation, spread = np.empty(n, np.int64), np.empty(n), np.empty(n)
-    turn, slack, pattern = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.uint64)
+    star, fainter, separation, spread = np.empty(n, np.int64), np.empty(n), np.empty(n), np.empty(n)
+    turn, slack, covered = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n * _CELLS, np.uint64)
     low, high = np.empty(n, np.int64), np.empty(n, np.int64)
+    size, every = (_SECTOR, _SECOND) if need <= 3 else (_WIDE_SECTOR, _FOURTH)
     widest = float(pairs.separation[-1]) if len(pairs.separation) else 0.0
     for j in nearest:
         s = chord_angle(stars.vectors[pole], stars.vectors[j])
@@ -135,71 +144,99 @@ def _neighbours(pole: int, nearest: IntArray, stars: Stars, pairs: Pairs, limits
         if s < _LEAST_ERRORS * error or s - error > widest:
             continue
         star[count], separation[count], spread[count] = j, s, error / s
+        fainter[count] = stars.magnitude[pole] - stars.magnitude[j]
         turn[count] = int(bearing(stars.vectors[pole], stars.vectors[j]) + _TURN)
         slack[count] = min(int(error / math.sin(s) * (_TURN / (2.0 * math.pi))) + 1, _TURN // 8)
-        pattern[count] = (np.uint64(1) << np.uint64(2 * slack[count] // _ROLL + 1)) - np.uint64(1)
+        start, again, shift = count * _CELLS, 1 << size - _CELL, np.uint64(1 << size - _ROLL)
+        for cell in range(again):
+            least = (cell << _CELL) - turn[count] - slack[count]
+            covered[start + cell] = _bits(least, 2 * slack[count] + (1 << _CELL) - 1, size, every)
+        for cell in range(start + again, start + _CELLS):  # one sector on
+            bits = covered[cell - again]
+            covered[cell] = (bits << shift) | (bits >> (np.uint64(64) - shift))
         low[count], high[count] = window(pairs.separation, (s - error) / (1.0 + wide), (s + error) / (1.0 - wide))
         count += 1
-    return _Neighbours(
-        star[:count], separation[:count], spread[:count], turn[:count], slack[:count], pattern[:count], low, high
-    )
+    return _Neighbours(star[:count], fainter, separation[:count], spread, turn, slack, covered, low, high)
 
 
 @kernel_part
-def _mark_elected(neighbours: _Neighbours, need: int, pairs: Pairs, counts: VoteCounts) -> int:
-    """Count the votes for each guide star and roll, and mark the stars that have as many as needed; how many."""
-    votes, zero, one, count = counts.votes, np.uint64(0), np.uint64(1), 0
-    # the count starts so high that the last vote that is needed carries beyond the third digit
-    missing = np.uint64(MOST_VOTES - need)
-    units, twos, fours = zero - (missing & one), zero - (missing >> one & one), zero - (missing >> np.uint64(2))
-    for star in range(len(votes)):
-        votes[star, 0], votes[star, 1], votes[star, 2], votes[star, 3] = units, twos, fours, zero
+def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: VoteCounts) -> int:
+    """Count the votes for each guide star and sector, and mark sectors that may have enough; the number of votes."""
+    sectors, there, back, covered, total = counts.sectors, counts.there, counts.back, neighbours.covered, 0
+    few, one, highest = need <= 3, np.uint64(1), _FOURTH << np.uint64(3)
+    # two bits count to three, from 1 if two are enough; the fourth bit of four is set by the last vote that is needed
+    start = _SECOND * np.uint64(3 - max(need, 2)) if few else _FOURTH * np.uint64(MOST_VOTES - need)
+    for star in range(len(sectors)):
+        sectors[star] = start
     for k in range(len(neighbours.star)):
-        turn, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
+        total += 2 * (neighbours.high[k] - neighbours.low[k])
         for p in range(neighbours.low[k], neighbours.high[k]):
-            # unsigned, as no index counts from the end
-            _vote(votes, np.uint32(pairs.first[p]), _bits(counts.there[p] - turn, slack, pattern))
-            _vote(votes, np.uint32(pairs.second[p]), _bits(counts.back[p] - turn, slack, pattern))
-    for star in range(len(votes)):
-        counts.elected[star] = votes[star, 3] != zero
-        count += counts.elected[star]
-    return count
+            for way in range(2):
+                # unsigned, as no index counts from the end
+                guide = np.uint32(pairs.first[p] if way == 0 else pairs.second[p])
+                bits = covered[np.uint32(k * _CELLS + ((there[p] if way == 0 else back[p]) >> _CELL))]
+                old = sectors[guide]
+                if few:
+                    carry = old & bits
+                    sectors[guide] = (old ^ bits) | ((old >> one) & carry) | (carry << one)
+                else:
+                    sectors[guide] = ((old & ~highest) + bits) | (old & highest)
+    for star in range(len(sectors)):
+        sectors[star] = sectors[star] & (sectors[star] >> one) if few else sectors[star] >> np.uint64(3)
+    return total
+
+
+@kernel_part
+def _in_full_sectors(neighbours: _Neighbours, total: int, pairs: Pairs, counts: VoteCounts) -> Int32Array:
+    """Votes (V, 5) of the `total` in sectors with enough of them: the neighbour, the guide stars of pole and neighbour,
+    the guide pair, and the roll."""
+    rows, count = np.empty((total + 1, 5), np.int32), 0
+    sectors, there, back, covered = counts.sectors, counts.there, counts.back, neighbours.covered
+    for k in range(len(neighbours.star)):
+        for p in range(neighbours.low[k], neighbours.high[k]):
+            for way in range(2):
+                a, turn = np.uint32(pairs.first[p] if way == 0 else pairs.second[p]), there[p] if way == 0 else back[p]
+                if sectors[a] & covered[np.uint32(k * _CELLS + (turn >> _CELL))] != 0:
+                    rows[count, 0], rows[count, 1], rows[count, 3] = k, a, p
+                    rows[count, 2] = pairs.second[p] if way == 0 else pairs.first[p]
+                    rows[count, 4] = (turn - neighbours.bearing[k]) & (_TURN - 1)
+                    count += 1
+    return rows[:count]
 
 
 @kernel_part
 def _voters(
-    pole: int,
+    rows: Int32Array,
     neighbours: _Neighbours,
-    stars: Stars,
+    need: int,
     sky: Guides,
     pairs: Pairs,
     counts: VoteCounts,
     limits: Limits,
 ) -> Candidates:
-    """Votes (V, 5) for guide stars that have enough of them: the neighbour, the guide stars of pole and neighbour, the
-    vote before for the same guide star, and the roll; with ln of the focal length's factor where that is free."""
-    rows, focal, count = np.empty((64, 5), np.int32), np.empty(64), 0
-    wide = limits.focal_range > 0.0
-    for k in range(len(neighbours.star)):
-        fainter = stars.magnitude[pole] - stars.magnitude[neighbours.star[k]]
-        bearing_there, slack, pattern = neighbours.bearing[k], neighbours.slack[k], neighbours.pattern[k]
-        for p in range(neighbours.low[k], neighbours.high[k]):
-            for way in range(2):
-                a, turn = pairs.first[p], counts.there[p] - bearing_there
-                if way == 1:
-                    a, turn = pairs.second[p], counts.back[p] - bearing_there
-                if not counts.elected[a] or counts.votes[a, 3] & _bits(turn, slack, pattern) == 0:
-                    continue
-                b = pairs.second[p] if way == 0 else pairs.first[p]
-                if abs(fainter - (sky.v_mag[a] - sky.v_mag[b])) > limits.magnitude_tolerance:
-                    continue
-                if count == len(focal):
-                    rows, focal = grown(rows, focal)
-                rows[count, 0], rows[count, 1], rows[count, 2] = k, a, b
-                rows[count, 3], rows[count, 4] = counts.head[a], turn & (_TURN - 1)
-                focal[count] = math.log(neighbours.separation[k] / pairs.separation[p]) if wide else 0.0
-                counts.head[a] = count
-                count += 1
+    """Those of some votes (V, 5) whose guide star has enough for a roll, with the vote before for the same guide star
+    in place of the guide pair; and ln of the focal length's factor where that is free."""
+    focal, votes, count, wide = np.empty(len(rows)), counts.votes, 0, limits.focal_range > 0.0
+    # the count starts so high that the last vote that is needed carries beyond the third digit
+    missing, zero, one = np.uint64(MOST_VOTES - need), np.uint64(0), np.uint64(1)
+    for x in range(len(rows)):
+        a = rows[x, 1]
+        votes[a, 0], votes[a, 1] = zero - (missing & one), zero - (missing >> one & one)
+        votes[a, 2], votes[a, 3] = zero - (missing >> np.uint64(2)), zero
+    for x in range(len(rows)):
+        slack = neighbours.slack[rows[x, 0]]
+        _vote(votes, rows[x, 1], _bits(rows[x, 4] - slack, 2 * slack, _ROLL, _EVERY))
+    for x in range(len(rows)):
+        k, a, b, p, roll = rows[x, 0], rows[x, 1], rows[x, 2], rows[x, 3], rows[x, 4]
+        slack = neighbours.slack[k]
+        if votes[a, 3] & _bits(roll - slack, 2 * slack, _ROLL, _EVERY) == 0:
+            continue
+        if abs(neighbours.fainter[k] - (sky.v_mag[a] - sky.v_mag[b])) > limits.magnitude_tolerance:
+            continue
+        rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3], rows[count, 4] = k, a, b, counts.head[a], roll
+        focal[count] = math.log(neighbours.separation[k] / pairs.separation[p]) if wide else 0.0
+        counts.head[a] = count
+        count += 1
     return Candidates(rows[:count], focal[:count])
 
 
@@ -242,17 +279,14 @@ def vote_about(
     -------
     Pole and neighbour with their guide stars, operations.
     """
-    found, focal, count = np.empty((16, 5), np.int32), np.empty(16), 0
-    neighbours = _neighbours(pole, nearest, stars, pairs, limits)
+    neighbours = _neighbours(pole, nearest, need, stars, pairs, limits)
     if len(neighbours.star) < need:
-        return Candidates(found[:0], focal[:0]), 0.0
-    work = 2.0 * len(sky.directions)
-    for k in range(len(neighbours.star)):
-        work += 1.5 * _VOTE_WORK * (neighbours.high[k] - neighbours.low[k])
-    if _mark_elected(neighbours, need, pairs, counts) == 0:
-        return Candidates(found[:0], focal[:0]), work
-    wide = limits.focal_range > 0.0
-    voters = _voters(pole, neighbours, stars, sky, pairs, counts, limits)
+        return Candidates(np.empty((0, 5), np.int32), np.empty(0)), 0.0
+    total = _count_sectors(neighbours, need, pairs, counts)
+    work, wide = 2.0 * len(sky.directions) + 0.75 * _VOTE_WORK * total, limits.focal_range > 0.0
+    rows = _in_full_sectors(neighbours, total, pairs, counts)
+    voters = _voters(rows, neighbours, need, sky, pairs, counts, limits)
+    found, focal, count = np.empty((len(voters.focal), 5), np.int32), np.empty(len(voters.focal)), 0
     far = median(neighbours.separation.copy())
     for x in range(len(voters.focal)):
         k, a, b = voters.stars[x, 0], voters.stars[x, 1], voters.stars[x, 2]
@@ -265,8 +299,6 @@ def vote_about(
             continue
         if not fits_prior(stars.vectors[j], sky.directions[b], limits):
             continue
-        if count == len(focal):
-            found, focal = grown(found, focal)
         row = found[count]
         row[0], row[1], row[2], row[3], row[4], focal[count] = pole, j, a, b, -1, voters.focal[x]
         count += 1

@@ -176,6 +176,31 @@ def _joined(
 
 
 @kernel_part
+def _links(at: Int32Array, head: Int32Array, following: Int32Array) -> int:
+    """Links of the chains at some guide stars."""
+    count = 0
+    for star in at:
+        link = head[star]
+        while link >= 0:
+            count, link = count + 1, following[link]
+    return count
+
+
+@kernel_part
+def _with_room(found: Candidates, count: int, most: int) -> tuple[Int32Array, FloatArray]:
+    """The first `count` candidates in arrays with room for `most`; arrays that grew within the loops would be
+    reference-counted at each step."""
+    rows, focal = found
+    if most > len(focal):
+        rows, focal = np.empty((most, 5), np.int32), np.empty(most)
+        for k in range(count):
+            focal[k] = found.focal[k]
+            for column in range(5):
+                rows[k, column] = found.stars[k, column]
+    return rows, focal
+
+
+@kernel_part
 def _focal_of(t: _Triangle, v: FloatArray, u: FloatArray, w: FloatArray) -> float:
     """ln of the focal length's factor by which a triangle of guide stars has the observed size; NaN where its sides
     do not agree on one."""
@@ -199,7 +224,6 @@ def _add_similar(
     count: int,
 ) -> tuple[Int32Array, FloatArray, int, float]:
     """Add the triangles of guide stars that an observed one may be; the arrays, the new number, operations."""
-    rows, focal = found
     shorter, longer = 1.0 / (1.0 + limits.focal_range), 1.0 / (1.0 - limits.focal_range)
     low_ik, high_ik = window(pairs.separation, (t.ik - t.error_ik) * shorter, (t.ik + t.error_ik) * longer)
     low_ij, high_ij = window(pairs.separation, (t.ij - t.error_ij) * shorter, (t.ij + t.error_ij) * longer)
@@ -211,6 +235,7 @@ def _add_similar(
     i_to_j, i_to_k = stars.magnitude[t.i] - stars.magnitude[t.j], stars.magnitude[t.i] - stars.magnitude[t.k]
     following, partner = _chained(pairs, low_ik, high_ik, i_to_k, sky.v_mag, limits.magnitude_tolerance, head)
     at_i, at_j = _joined(pairs, low_ij, high_ij, i_to_j, sky.v_mag, limits.magnitude_tolerance, head)
+    rows, focal = _with_room(found, count, count + _links(at_i, head, following))
     for p in range(len(at_i)):
         a, b, link = at_i[p], at_j[p], head[at_i[p]]
         x, y, z = sky.directions[b, 0], sky.directions[b, 1], sky.directions[b, 2]
@@ -228,8 +253,6 @@ def _add_similar(
                 continue
             if not (fits_prior(stars.vectors[t.j], u, limits) and fits_prior(stars.vectors[t.k], w, limits)):
                 continue
-            if count == len(focal):
-                rows, focal = grown(rows, focal)
             row = rows[count]
             row[0], row[1], row[2], row[3], row[4], focal[count] = t.j, t.k, b, c, t.i, factor
             count += 1
@@ -256,22 +279,10 @@ def similar_triangles(
     -------
     The two stars of the longest side with their guide stars, and the third observed star; operations.
     """
-    rows, focal, count, work = np.empty((16, 5), np.int32), np.empty(16), 0, 0.0
+    rows, focal, count, work = np.empty((0, 5), np.int32), np.empty(0), 0, 0.0
     for number in range(len(triples)):
         t = _triangle(triples[number], stars, limits.scale)
         if min(t.ij - t.error_ij, t.ik - t.error_ik) > 0.0 and work <= limits.work:
             rows, focal, count, cost = _add_similar(t, stars, sky, pairs, limits, head, Candidates(rows, focal), count)
             work += cost
     return Candidates(rows[:count], focal[:count]), work
-
-
-@kernel_part
-def grown(rows: Int32Array, focal: FloatArray) -> tuple[Int32Array, FloatArray]:
-    """The same arrays with room for twice as many."""
-    n = len(focal)
-    more, factors = np.empty((2 * n, rows.shape[1]), np.int32), np.empty(2 * n)
-    for k in range(n):
-        factors[k] = focal[k]
-        for column in range(rows.shape[1]):
-            more[k, column] = rows[k, column]
-    return more, factors

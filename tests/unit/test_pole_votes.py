@@ -37,7 +37,7 @@ def searched(guide, stars, limits, nearest, need):
     pairs = Pairs(near.first, near.second, near.separation_rad)
     there, back = pair_bearings(guide.directions, near.first, near.second)
     g, sky = len(guide), Guides(guide.directions, guide.v_mag)
-    counts = VoteCounts(there, back, np.empty((g, 4), np.uint64), np.empty(g, np.bool_), np.full(g, -1, np.int32))
+    counts = VoteCounts(there, back, np.empty(g, np.uint64), np.empty((g, 4), np.uint64), np.full(g, -1, np.int32))
     found = [vote_about(k, row, need, stars, sky, pairs, counts, limits) for k, row in enumerate(nearest)]
     assert (counts.head == -1).all()
     return [candidates for candidates, _ in found], sum(work for _, work in found)
