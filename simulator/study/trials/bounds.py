@@ -95,7 +95,8 @@ def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     dx, dy = (sources.image_xy[:, axis] - xy[:, axis, None] for axis in (0, 1))
     near = sources.is_star & (dx * dx + dy * dy <= SAME_STAR_PX**2)
     light = np.where(near, sources.electrons, 0.0)
-    return np.unique(light.argmax(axis=1)[light.max(axis=1) > 0.0])
+    brightest = light.argmax(axis=1)[light.max(axis=1) > 0.0]
+    return np.array(sorted(set(brightest.tolist())), np.int64)
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
