@@ -143,7 +143,7 @@ class FocalPlane:
         light, seen = self._sources(scene, exposure)
         rate_e_s, excluded = self.background_rate_e_s(scene)
         mean_e = exposure.electrons(rate_e_s)
-        margin_px = _EDGE_MARGIN_PX + float(np.max(light.radius_rad, initial=0.0)) / self.true_camera.pixel_rad
+        margin_px = _EDGE_MARGIN_PX + float(light.radius_rad.max(initial=0.0)) / self.true_camera.pixel_rad
         motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
         paths = exposure.paths(
             self.true_camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, margin_px
@@ -168,9 +168,10 @@ class FocalPlane:
         seen = self._reaching(scene, scene.star_directions, rate_e_s, exposure, 0.0)
         coloured = self.psfs.coloured or self.displacement.coloured
         stars = star_light(scene, seen.rows, rate_e_s[seen.rows], photometer, coloured)
-        off_axis = np.arccos(np.clip(bodies.direction @ scene.pointing.camera.boresight, -1.0, 1.0))
+        cosine = bodies.direction @ scene.pointing.camera.boresight
+        off_axis = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
         reach = self.half_field_rad(exposure.duration_s) + scene.streak_rad + bodies.angular_radius_rad
-        near = np.flatnonzero(off_axis < np.minimum(reach, camera.limit_rad))
+        near = (off_axis < np.minimum(reach, camera.limit_rad)).nonzero()[0]
         if not len(near):
             return stars, seen
         bodies = bodies.select(near)
@@ -209,8 +210,8 @@ class FocalPlane:
         """Stars and small bodies through their PSFs, large bodies as disks."""
         camera, (xy, weights, electrons) = self.true_camera, paths
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
-        self._draw_points(mean_e, np.flatnonzero(~disk), light.wavelength_nm, positions, paths)
-        for i in np.flatnonzero(disk):
+        self._draw_points(mean_e, (~disk).nonzero()[0], light.wavelength_nm, positions, paths)
+        for i in disk.nonzero()[0]:
             position = (float(positions[i, 0]), float(positions[i, 1]))
             body = LitDisk(
                 radius_x=float(light.radius_rad[i] * camera.fx),
@@ -242,7 +243,7 @@ class FocalPlane:
         near = near.select(seen.rows)
         light = satellite_light(scene, near, rate_e_s[seen.rows], camera, photometer, self.sky)
         drift = Drift(near.path_km @ scene.pointing.camera.as_matrix().T)
-        margin_px = _EDGE_MARGIN_PX + float(np.max(light.radius_rad, initial=0.0)) / camera.pixel_rad
+        margin_px = _EDGE_MARGIN_PX + float(light.radius_rad.max(initial=0.0)) / camera.pixel_rad
         motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
         sampling = (motion, self.psfs.feature_px, margin_px)
         paths = exposure.paths(camera, seen.in_camera, seen.electrons, *sampling, drift=drift)

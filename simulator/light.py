@@ -60,8 +60,7 @@ class Light:
 
 def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray:
     """Photo-electrons per second of the scene's stars (N,); 0 where they are hidden."""
-    v_mag = scene.catalog.v_mag[scene.rows]
-    rate = photometer.electrons_per_s(v_mag, scene.star_b_v, scene.star_giant)
+    rate = photometer.star_electrons_per_s(scene.catalog, scene.b_v, scene.giant)[scene.rows]
     rate[hidden_stars(scene, scene.star_directions, sky)] = 0.0
     return rate
 
@@ -69,7 +68,7 @@ def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray
 def hidden_stars(scene: Scene, directions: FloatArray, sky: Sky) -> NDArray[np.bool_]:
     """Whether stars in directions (N, 3) are behind the Earth, or behind a body that the spacecraft orbits."""
     hidden = occulted(directions, scene.r_km) if has_disk(sky, scene.r_km) else np.zeros(len(directions), dtype=bool)
-    for body in np.flatnonzero(scene.bodies.angular_radius_rad > NEAR_BODY_RAD):
+    for body in (scene.bodies.angular_radius_rad > NEAR_BODY_RAD).nonzero()[0]:
         hidden |= directions @ scene.bodies.direction[body] > math.cos(scene.bodies.angular_radius_rad[body])
     return hidden
 
@@ -77,7 +76,7 @@ def hidden_stars(scene: Scene, directions: FloatArray, sky: Sky) -> NDArray[np.b
 def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: Photometer, coloured: bool) -> Light:
     """A selection of a scene's stars as sources; wavelengths only if images depend on them."""
     catalog, stars, none = scene.catalog, scene.rows[rows], np.zeros(len(rows))
-    b_v, giant = scene.star_b_v[rows], scene.star_giant[rows]
+    b_v = scene.b_v[stars]
     return Light(
         id=catalog.id[stars],
         name=catalog.star_name[stars],
@@ -90,8 +89,8 @@ def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: P
         radius_rad=none,
         lit=none + 1.0,
         sun_angle_rad=none,
-        limb=np.tile(NO_LIMB, (len(rows), 1)),
-        wavelength_nm=photometer.effective_wavelength_nm(b_v, giant) if coloured else none,
+        limb=none[:, None] + NO_LIMB,
+        wavelength_nm=photometer.effective_wavelength_nm(b_v, scene.giant[stars]) if coloured else none,
     )
 
 

@@ -78,13 +78,13 @@ class Scene:
     """Rotation angle of the camera during the exposure."""
     catalog: StarCatalog
     """All stars of the sky."""
+    b_v: FloatArray
+    giant: FloatArray
+    """Colour and class of their spectra (`simulator.sky.colours`)."""
     rows: IntArray
     """(N,): Rows of the stars in and around the field."""
     star_directions: FloatArray
-    """(N, 3): Apparent directions, ICRS axes."""
-    star_b_v: FloatArray
-    star_giant: FloatArray
-    """(N,): Colour and class of their spectra (`simulator.sky.colours`)."""
+    """(N, 3): Apparent directions of these, ICRS axes."""
     bodies: Bodies
     """Sun, Moon and planets, also outside the field."""
     satellites: Satellites | None = None
@@ -181,7 +181,12 @@ class SceneBuilder:
         self._plan: tuple[Instants | None, dict[float, int]] = (None, {})
 
     def instant(self, index: int) -> Instant:
-        """Time of trial `index`, and positions of spacecraft and bodies; computed for `BLOCK_TRIALS` at once.
+        """Time of trial `index`, and positions of spacecraft and bodies."""
+        block, row = self.block(index)
+        return block.at(row)
+
+    def block(self, index: int) -> tuple[Instants, int]:
+        """Block of `BLOCK_TRIALS` trials that are computed at once, and the row of trial `index` in it.
 
         The blocks only depend on the index, so that a trial has the same values independently of other trials and
         workers.
@@ -192,7 +197,7 @@ class SceneBuilder:
             given = self.parameters
             t_s = trial_time_s(given.sampling, given.seed, indices, self._round_s, self.span_s)
             self._blocks = {block: Instants.of(self.orbit, t_s, self.parameters.sky)}
-        return self._blocks[block].at(row)
+        return self._blocks[block], row
 
     def plan(self, t_s: ArrayLike) -> None:
         """Compute the ephemerides of times (N,) that will be passed to `scene` as `at_s`, in one block."""
@@ -251,10 +256,10 @@ class SceneBuilder:
             jitter=jitter,
             streak_rad=streak_rad,
             catalog=self.sky.catalog,
+            b_v=self._b_v,
+            giant=self._giant,
             rows=rows,
             star_directions=self.sky.apparent(rows, observer, sun_au, sky),
-            star_b_v=self._b_v[rows],
-            star_giant=self._giant[rows],
             bodies=now.bodies,
             satellites=self._satellites(now, boresight, reach_rad, exposure_s),
         )
@@ -316,7 +321,7 @@ class SceneBuilder:
     def _refuse_near_surface(self, now: Instant, boresight: FloatArray, reach_rad: float) -> None:
         """`InputError` if a surface that fills much of the sky, other than the Earth's, may be in the field."""
         bodies = now.bodies
-        for k in np.flatnonzero(bodies.angular_radius_rad > NEAR_BODY_RAD):
+        for k in (bodies.angular_radius_rad > NEAR_BODY_RAD).nonzero()[0]:
             away = math.acos(min(max(float(boresight @ bodies.direction[k]), -1.0), 1.0))
             if away < bodies.angular_radius_rad[k] + reach_rad:
                 raise InputError(

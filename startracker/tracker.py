@@ -170,7 +170,7 @@ class StarTracker:
         tips = hints(
             solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
         )
-        return replace(solution, steps=Steps(steps, solution.steps, partial(attitude_steps, solution), tips))
+        return changed(solution, steps=Steps(steps, solution.steps, partial(attitude_steps, solution), tips))
 
     def solve_centroids(
         self,
@@ -253,7 +253,7 @@ class StarTracker:
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
-        return replace(solution, operations=operations), stars, steps
+        return changed(solution, operations=operations), stars, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(

@@ -82,5 +82,5 @@ class Clock:
         """UTC as ISO 8601 without a zone, rounded to milliseconds or to a number of decimals of a second; a leap second
         is written as second 60."""
         year, month, day, fields, _ = erfa.ufunc.d2dtf("UTC", digits, *self.utc_jd(t_s))
-        hour, minute, second, part = (int(fields[name]) for name in ("h", "m", "s", "f"))
+        hour, minute, second, part = fields.item()
         return f"{year:04d}-{month:02d}-{day:02d}T{hour:02d}:{minute:02d}:{second:02d}.{part:0{digits}d}"

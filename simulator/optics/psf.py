@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -121,12 +121,18 @@ class Psf:
             limit_e = 2.0 * math.pi * self.sigma_px * self.sigma_y_px * WING_LIMIT_E
             return np.asarray(_gaussian_radius_px(e, limit_e, self.sigma_px))
         e = np.maximum(e, 1e-9)
-        wanted = _reach(self.wing, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * self.peak), self.wing_step_px)
+        wanted = _reach(self._envelope, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * self.peak), self.wing_step_px)
         half = self.core_half_px
         winged = np.clip(wanted, least_radius(half, self.aspect), WING_RADIUS_PX - TAPER_PX - 1.0)
         return np.where(wanted <= (half + 1) * min(1.0, 1.0 / self.aspect), half * min(1.0, 1.0 / self.aspect), winged)
 
-    @property
+    @cached_property
+    def _envelope(self) -> FloatArray:
+        """`_monotone` of the wings."""
+        assert self.wing is not None
+        return _monotone(self.wing)
+
+    @cached_property
     def peak(self) -> float:
         """Fraction of the light in the central pixel of a centred star."""
         if self.core is None:
@@ -141,10 +147,14 @@ def _gaussian_radius_px(electrons: FloatArray, limit_e: float, sigma_px: float) 
     return sigma_px * np.maximum(_LEAST_SIGMAS, np.sqrt(2.0 * np.log(np.maximum(electrons / limit_e, 1.0))))
 
 
-def _reach(wing: FloatArray, share: ArrayLike, step_px: float) -> FloatArray:
-    """Distance beyond which the wings stay below a fraction of the light per pixel."""
-    envelope = np.maximum.accumulate(wing[::-1])  # monotone envelope of the rings
-    return np.asarray((len(wing) - np.searchsorted(envelope, share, side="left")) * step_px)
+def _monotone(wing: FloatArray) -> FloatArray:
+    """Monotone envelope of the rings of wings (W,), from outside to inside."""
+    return np.maximum.accumulate(wing[::-1])
+
+
+def _reach(envelope: FloatArray, share: ArrayLike, step_px: float) -> FloatArray:
+    """Distance beyond which wings with a `_monotone` envelope stay below a fraction of the light per pixel."""
+    return np.asarray((len(envelope) - np.searchsorted(envelope, share, side="left")) * step_px)
 
 
 def build_psf(
@@ -368,7 +378,7 @@ def least_lambda_n_px(aspect: float) -> float:
 
 def stamp_half_px(least: int, wing: FloatArray, peak: float, aspect: float) -> int:
     """Half width of a stamp for the faintest stars without wings, at most `MAX_HALF_PX`."""
-    reach = float(_reach(wing, LEAST_SHARE * peak, _WING_STEP_PX)) * max(1.0, aspect)
+    reach = float(_reach(_monotone(wing), LEAST_SHARE * peak, _WING_STEP_PX)) * max(1.0, aspect)
     return min(max(4, least, math.ceil(reach) - 1), MAX_HALF_PX)
 
 

@@ -173,11 +173,17 @@ def _positions(directions: FloatArray, rotations: FloatArray, least_z: float, im
 
 
 def turning(turn: FloatArray, moments: FloatArray) -> FloatArray:
-    """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` (K,) × `turn`."""
-    x, y, z = turn.tolist()
+    """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` (K,) × `turn`; not to be modified."""
+    return _turning(turn.tobytes(), moments.tobytes())
+
+
+@functools.lru_cache(maxsize=4)
+def _turning(turn: bytes, moments: bytes) -> FloatArray:
+    """`turning`; cached, as a frame and the bound of its attitude need the same matrices."""
+    x, y, z = np.frombuffer(turn).tolist()
     angle = math.hypot(x, y, z) or 1.0
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
-    half = (0.5 * angle * moments)[:, None, None]
+    half = (0.5 * angle * np.frombuffer(moments))[:, None, None]
     return np.asarray(_UNIT + np.sin(2.0 * half) * cross + 2.0 * np.sin(half) ** 2 * (cross @ cross))
 
 

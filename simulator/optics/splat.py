@@ -58,13 +58,31 @@ def render_stars(
 
 def add_stars(image: FloatArray, xy: FloatArray, weights: FloatArray, electrons: FloatArray, psf: Psf) -> None:
     """Add stars to `image` in place; shapes as in `render_stars`, all arrays contiguous float64."""
-    radius = psf.radius_px(electrons)
-    if psf.core is None or psf.wing is None or psf.drawn is None:
-        add_gaussians(image, xy, weights, electrons, radius, psf.sigma_px, psf.sigma_y_px)
+    if psf.core is None:
+        add_gaussians(image, xy, weights, electrons, psf.radius_px(electrons), psf.sigma_px, psf.sigma_y_px)
     else:
-        whole = np.interp(radius, np.arange(len(psf.drawn)) * psf.wing_step_px, psf.drawn)
-        wings = Wings(psf.wing, 1.0 / psf.wing_step_px, 1.0 / psf.aspect, psf.core.shape[3] // 2)
-        add_tabulated(image, _Stars(xy, weights, electrons, radius, whole), psf.core, psf.phases, wings)
+        add_tabulated(image, *_tabulated(xy, weights, electrons, psf))
+
+
+def add_each_star(images: FloatArray, xy: FloatArray, weights: FloatArray, electrons: FloatArray, psf: Psf) -> None:
+    """`add_stars` of a tabulated PSF, with a separate image (N, H, W) of each star."""
+    stars, *table = _tabulated(xy, weights, electrons, psf)
+    for n, image in enumerate(images):
+        one = slice(n, n + 1)
+        add_tabulated(image, _Stars(xy[one], weights, electrons[one], stars.radius[one], stars.whole[one]), *table)
+
+
+def _tabulated(
+    xy: FloatArray, weights: FloatArray, electrons: FloatArray, psf: Psf
+) -> tuple[_Stars, NDArray[np.float64] | NDArray[np.float32], int, Wings]:
+    """Arguments of `add_tabulated`."""
+    assert psf.core is not None
+    assert psf.wing is not None
+    assert psf.drawn is not None
+    radius = psf.radius_px(electrons)
+    whole = np.interp(radius, np.arange(len(psf.drawn)) * psf.wing_step_px, psf.drawn)
+    wings = Wings(psf.wing, 1.0 / psf.wing_step_px, 1.0 / psf.aspect, psf.core.shape[3] // 2)
+    return _Stars(xy, weights, electrons, radius, whole), psf.core, psf.phases, wings
 
 
 @pixel_kernel

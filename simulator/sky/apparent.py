@@ -72,7 +72,7 @@ def _apparent(
         p += (observer.epoch_jyear - catalog_epoch_jyear + roemer) * motion.take(rows, axis=0)
     if sky.parallax and position is not None:
         p -= parallax_rad.take(rows)[:, None] * position
-    p /= np.linalg.norm(p, axis=1, keepdims=True)
+    p /= np.sqrt(np.add.reduce(p * p, axis=1, keepdims=True))
     if sky.light_deflection and position is not None and sun_au is not None:
         p = bend_by_sun(p, position - np.asarray(sun_au, dtype=float))
     if sky.aberration and observer.velocity_km_s is not None:

@@ -23,9 +23,8 @@ from startracker.constants import ARCSEC_RAD
 from startracker.geometry.attitude import radec_to_direction
 
 _BAND_DEG = 4.0
-_CELL_REACH_RAD = math.radians(4.5)
-"""Upper limit of the distance of a star from the centre of its cell: cells at the poles are thirds of a cap of 4°."""
-_CELLS_KEPT = 256
+_CELLS_KEPT = 512
+"""Cells around the path of a boresight over a year at a constant declination, for a field of 13°."""
 
 
 class StarField(NamedTuple):
@@ -53,6 +52,8 @@ class FaintSky:
         self._edges = _cells()
         middle = 0.5 * (self._edges[:, [0, 2]] + self._edges[:, [1, 3]])
         self._centres = radec_to_direction(middle[:, 0], np.arcsin(middle[:, 1]))
+        corners = radec_to_direction(self._edges[:, [0, 0, 1, 1]], np.arcsin(self._edges[:, [2, 3, 2, 3]]))
+        self._reach_rad = np.arccos(np.einsum("cki,ci->ck", corners, self._centres).min(axis=1))
         density = count_between(brightest, faintest) * star_contrast(self._centres)
         self._mean_count = density * _square_degrees(self._edges)
         self.cell = functools.lru_cache(maxsize=_CELLS_KEPT)(self._drawn)
@@ -61,23 +62,22 @@ class FaintSky:
         """Stars within a radius of an apparent direction (3,), and some that aberration, up to `shift_rad`, may bring
         there."""
         centre = np.asarray(direction, dtype=float)
-        cosine = self._centres @ centre
-        cells = np.flatnonzero(cosine >= math.cos(min(radius_rad + _CELL_REACH_RAD, math.pi)))
-        ra_rad, z, share = np.concatenate([self.cell(number) for number in cells.tolist()], axis=1)
-        across = np.sqrt(1.0 - z * z)
-        found = np.column_stack([across * np.cos(ra_rad), across * np.sin(ra_rad), z])
-        rows = np.flatnonzero(found @ centre >= math.cos(min(radius_rad + shift_rad, math.pi)))
-        return StarField(found[rows], draw_magnitudes(share[rows], self.brightest, self.faintest))
+        reach_rad = min(radius_rad + shift_rad, math.pi)
+        away_rad = np.arccos(np.clip(self._centres @ centre, -1.0, 1.0))
+        cells = np.flatnonzero(away_rad <= reach_rad + self._reach_rad)
+        stars = np.concatenate([self.cell(number) for number in cells.tolist()])
+        found = stars[stars[:, :3] @ centre >= math.cos(reach_rad)]
+        return StarField(found[:, :3].copy(), draw_magnitudes(found[:, 3], self.brightest, self.faintest))
 
     def _drawn(self, number: int) -> FloatArray:
-        """Right ascension, sine of the declination, and share of the counts by magnitude (3, N) of a cell's stars."""
+        """Directions and shares of the counts by magnitude (N, 4) of a cell's stars."""
         rng = stream(self.seed, "faint stars", number)
         count = int(rng.poisson(self._mean_count[number]))
-        stars = rng.random((3, count))
+        right, up, share = rng.random((3, count))
         west, east, south, north = self._edges[number].tolist()
-        stars[0] = west + stars[0] * (east - west)
-        stars[1] = south + stars[1] * (north - south)
-        return stars
+        ra_rad, z = west + right * (east - west), south + up * (north - south)
+        across = np.sqrt(1.0 - z * z)
+        return np.column_stack([across * np.cos(ra_rad), across * np.sin(ra_rad), z, share])
 
 
 @functools.cache

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import erfa
 import numpy as np
 
@@ -22,7 +24,7 @@ def bend_by_sun(directions: FloatArray, from_sun_au: FloatArray) -> FloatArray:
     from_sun_au : float array, shape (3,)
         From the Sun to the observer, au.
     """
-    distance = np.linalg.norm(from_sun_au)
+    distance = math.sqrt(from_sun_au @ from_sun_au)
     return np.asarray(erfa.ufunc.ldsun(directions, from_sun_au / distance, distance))
 
 
@@ -30,5 +32,5 @@ def aberrated(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
     """Apparent unit vectors (..., 3) for a moving observer; ERFA's ``eraAb`` without the Sun's potential (below
     0.5 µas), which `startracker.observer.aberrate` of the tracker neglects as well. The shapes are broadcast."""
     beta = velocity_km_s / SPEED_OF_LIGHT_KM_S
-    inverse_gamma = np.sqrt(1.0 - np.sum(beta * beta, axis=-1))
+    inverse_gamma = np.sqrt(1.0 - np.add.reduce(beta * beta, axis=-1))
     return np.asarray(erfa.ufunc.ab(directions, beta, np.inf, inverse_gamma))

@@ -14,6 +14,7 @@ from simulator.sky.albedo import body_photons
 from simulator.sky.colours import population_giant_share
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA, Spectrum
 from startracker.arrays import FloatArray, IntArray
+from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.registry import lookup
 
@@ -59,6 +60,7 @@ class Photometer:
     _first_moment: _Tables = field(init=False, repr=False)
     _bins: dict[tuple[float, ...], _Tables] = field(init=False, repr=False)
     _bodies: dict[str, tuple[float, float]] = field(init=False, repr=False)
+    _stars: dict[StarCatalog, FloatArray] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.aperture_area_cm2) and self.aperture_area_cm2 > 0):
@@ -76,6 +78,7 @@ class Photometer:
             ("_first_moment", tuple(self.aperture_area_cm2 * table[:, 1] for table in both)),
             ("_bins", {}),
             ("_bodies", {}),
+            ("_stars", {}),
         ):
             object.__setattr__(self, name, value)
 
@@ -93,6 +96,12 @@ class Photometer:
         """
         scale = 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
         return np.asarray(_looked_up(self._rate, b_v, giant) * scale)
+
+    def star_electrons_per_s(self, catalog: StarCatalog, b_v: FloatArray, giant: FloatArray) -> FloatArray:
+        """`electrons_per_s` of all stars of a catalogue, of these colours and classes; cached."""
+        if catalog not in self._stars:
+            self._stars[catalog] = self.electrons_per_s(catalog.v_mag, b_v, giant)
+        return self._stars[catalog]
 
     def body_electrons_per_s(self, names: NDArray[np.str_], v_mag: ArrayLike) -> FloatArray:
         """Photo-electrons per second of bodies of the solar system: sunlight times albedo (`simulator.sky.albedo`).

@@ -121,7 +121,7 @@ def test_stars_are_displaced_by_their_colour():
     # by the mean wavelength of the whole spectrum: 3 px over 170 nm in the corner at 512 √2 px
     scene, photometer = plain.scene(2), plain.focal_plane.photometer
     of_scene = np.array([scene.stars.id.tolist().index(number) for number in before.id.tolist()])
-    wavelength_nm = photometer.effective_wavelength_nm(scene.star_b_v, scene.star_giant)[of_scene]
+    wavelength_nm = photometer.effective_wavelength_nm(scene.b_v[scene.rows], scene.giant[scene.rows])[of_scene]
     redder_nm = wavelength_nm - photometer.effective_wavelength_nm(0.6)
     expected = 3.0 * redder_nm / (656.27 - 486.13) * radius / (512.0 * np.sqrt(2.0))
     np.testing.assert_allclose(outwards, expected, atol=1e-9)

@@ -63,10 +63,10 @@ def expose(pair, stars):
     light = replace(
         scene,
         catalog=stars,
+        b_v=stars.b_v,
+        giant=np.zeros(len(stars)),
         rows=np.arange(len(stars)),
         star_directions=directions,
-        star_b_v=stars.b_v,
-        star_giant=np.zeros(len(stars)),
     )
     return renderer.expose(light)
 

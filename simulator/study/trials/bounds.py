@@ -22,7 +22,7 @@ from simulator.frame import FrameTruth
 from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
-from simulator.optics.splat import add_stars
+from simulator.optics.splat import add_each_star
 from simulator.renderer import Renderer
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.camera import Camera
@@ -95,7 +95,8 @@ def matched_sources(truth: FrameTruth, xy: FloatArray) -> IntArray:
     dx, dy = (sources.image_xy[:, axis] - xy[:, axis, None] for axis in (0, 1))
     near = sources.is_star & (dx * dx + dy * dy <= SAME_STAR_PX**2)
     light = np.where(near, sources.electrons, 0.0)
-    return np.unique(light.argmax(axis=1)[light.max(axis=1) > 0.0])
+    brightest = light.argmax(axis=1)[light.max(axis=1) > 0.0]
+    return np.array(sorted(set(brightest.tolist())), np.int64)
 
 
 def star_information(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
@@ -183,7 +184,7 @@ def image_slopes(
     """Fraction of a star's light in the surrounding pixels, and its derivatives in x and y, px⁻¹: three (N, M, M)
     arrays, M = 2 `half` + 1, of stars with paths (N, K, 2) relative to the central pixel."""
     side = 2 * half + 1
-    if psf.core is None or psf.wing is None or psf.drawn is None:
+    if psf.core is None:
         images = np.zeros((3, len(paths), side, side))
         radius = float(psf.radius_px(1.0))
         _gaussian_slopes(images, paths + half, weights, radius, psf.sigma_px, psf.sigma_y_px)
@@ -191,9 +192,7 @@ def image_slopes(
     steps = np.array([[0.0, 0.0], [_STEP_PX, 0.0], [-_STEP_PX, 0.0], [0.0, _STEP_PX], [0.0, -_STEP_PX]])
     moved = np.ascontiguousarray((paths[None] + half + steps[:, None, None, :]).reshape(-1, *paths.shape[1:]))
     images = np.zeros((len(moved), side, side))
-    one = np.ones(1)
-    for image, path in zip(images, moved, strict=True):
-        add_stars(image, path[None], weights, one, psf)
+    add_each_star(images, moved, weights, np.ones(len(moved)), psf)
     here, right, left, below, above = images.reshape(5, len(paths), side, side)
     return here, (right - left) / (2.0 * _STEP_PX), (below - above) / (2.0 * _STEP_PX)
 

@@ -196,8 +196,8 @@ class TrialRunner:
         return row
 
     def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
-        scenario, sources, instant = self.scenario, truth.sources, self.renderer.scenes.instant(index)
-        true = truth.attitude_at_tag
+        scenario, sources, true = self.scenario, truth.sources, truth.attitude_at_tag
+        block, k = self.renderer.scenes.block(index)
         row: dict[str, Any] = {
             "index": index,
             "t_s": truth.t_s,
@@ -209,10 +209,10 @@ class TrialRunner:
         }
         row |= attitude_columns("true_", true) | {
             "galactic_latitude_deg": galactic_latitude_deg(true),
-            "orbit_argument_deg": instant.orbit_argument_deg,
-            "latitude_deg": instant.latitude_deg,
-            "longitude_deg": instant.longitude_deg,
-            "sunlit": instant.sunlit,
+            "orbit_argument_deg": float(block.orbit_argument_deg[k]),
+            "latitude_deg": float(block.latitude_deg[k]),
+            "longitude_deg": float(block.longitude_deg[k]),
+            "sunlit": bool(block.sunlit[k]),
             "temperature_c": scenario.detector.temperature_c,
             "particles_cm2_s": truth.particles_cm2_s,
         }
