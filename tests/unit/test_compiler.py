@@ -3,6 +3,7 @@
 import contextlib
 import math
 import re
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from numba.core.registry import cpu_target
 from numba.extending import overload
 
 from startracker import compiler
-from startracker.compiler import _SHORTCUTS, shortcuts
+from startracker.compiler import SAME_CODE, SAME_RESULTS, shortcuts
 
 
 class Window(NamedTuple):
@@ -77,7 +78,10 @@ def frame(rng=np.random.default_rng(1)):
 
 
 def test_this_version_of_numba_has_what_the_shortcuts_replace():
-    replaced = [f"{getattr(owner, '__module__', 'module')}.{owner.__name__}.{name}" for owner, name, _ in _SHORTCUTS]
+    replaced = [
+        f"{getattr(owner, '__module__', 'module')}.{owner.__name__}.{name}"
+        for owner, name, _ in (*SAME_CODE, *SAME_RESULTS)
+    ]
     assert replaced == [
         "numba.core.types.functions.BaseFunction.get_call_type",
         "numba.core.postproc.PostProcessor.run",
@@ -88,6 +92,11 @@ def test_this_version_of_numba_has_what_the_shortcuts_replace():
         "llvmlite.binding.ffi._LLVMLock.__enter__",
         "llvmlite.binding.ffi._LLVMLock.__exit__",
         "numba.core.base.BaseContext.refresh",
+        "numba.core.runtime.context.NRTContext.get_meminfos",
+        "numba.core.lowering.Lower.storevar",
+        "numba.core.lowering.Lower.delvar",
+        "module.numba.np.arrayobj.basic_indexing",
+        "numba.core.typed_passes.BaseNativeLowering.run_pass",
         "numba.core.pythonapi.PythonAPI.from_native_value",
         "numba.core.pythonapi.PythonAPI.serialize_object",
         "numba.core.pythonapi.PythonAPI.unserialize",
@@ -97,7 +106,6 @@ def test_this_version_of_numba_has_what_the_shortcuts_replace():
 
 
 def test_machine_code_is_that_of_numba_alone(frame, monkeypatch):
-    """Of all but the last five: three concern classes of results, two leave out passes. The results are the same."""
     plain_code, (plain_out, *plain_rest) = compiled(*frame)
     assert len(plain_code.splitlines()) > 200
     assert plain_rest[-1] == _steps_to_one.py_func(27) == (111, 8)
@@ -105,10 +113,54 @@ def test_machine_code_is_that_of_numba_alone(frame, monkeypatch):
         _, (out, *rest) = compiled(*frame)
     assert np.array_equal(out, plain_out, equal_nan=True)
     assert rest == plain_rest
-    monkeypatch.setattr(compiler, "_SHORTCUTS", _SHORTCUTS[:-5])
+    monkeypatch.setattr(compiler, "SAME_RESULTS", ())
     with shortcuts():
         code, _ = compiled(*frame)
     assert code == plain_code
+
+
+def _ends(window, row):
+    """A view of a view, negative indices, named tuples in and out; no array is made."""
+    line = window.pixels[row]
+    inner = Window(window.pixels[row : row + 1, 1:-1], window.half)
+    return inner.pixels[0, 0], inner.pixels[-1, -1], line[-1], line[inner.half]
+
+
+def _moved(values):
+    values[1:] = values[:-1]
+
+
+def _kept(window):
+    return window.pixels[1:], Window(window.pixels, 1)
+
+
+def _chosen(values, wanted):
+    return values[wanted].sum()
+
+
+@pytest.mark.parametrize("layout", ["C", "F", "A"])
+def test_arrays_of_the_caller_outlive_kernels(layout):
+    """References are counted where a kernel makes, copies or returns an array, and held by the caller where not."""
+    pixels = np.asfortranarray(np.arange(24.0).reshape(4, 6)) if layout == "F" else np.arange(24.0).reshape(4, 6)
+    pixels = np.repeat(pixels, 2, axis=1)[:, ::2] if layout == "A" else pixels
+    window, row, wanted = Window(pixels, 2), np.arange(6.0), np.array([0, 2])
+    with shortcuts():
+        ends, moved, kept, chosen = (njit(function) for function in (_ends, _moved, _kept, _chosen))
+        counts = None
+        for _ in range(3):
+            assert ends(window, 1) == (7.0, 10.0, 11.0, 8.0)
+            line = row.copy()
+            moved(line)
+            assert line.tolist() == [0.0, 0.0, 1.0, 2.0, 3.0, 4.0]
+            assert chosen(row, wanted) == 2.0
+            below, same = kept(window)
+            assert np.array_equal(below, pixels[1:])
+            assert np.array_equal(same.pixels, pixels)
+            del below, same
+            now = [sys.getrefcount(array) for array in (pixels, row, wanted)]
+            assert counts in (None, now)
+            counts = now
+    assert ["NRT_incref" in code for f in (ends, kept) for code in f.inspect_llvm().values()] == [False, True]
 
 
 def _halved(values):
@@ -181,7 +233,7 @@ def test_functions_declared_between_two_kernels_are_known(frame):
 
 
 def numba_now():
-    return [vars(owner).get(name) for owner, name, _ in _SHORTCUTS]
+    return [vars(owner).get(name) for owner, name, _ in (*SAME_CODE, *SAME_RESULTS)]
 
 
 def test_numba_is_as_before_after_the_outermost_context():

@@ -1,0 +1,44 @@
+"""Optimisation by LLVM, once for each kernel."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
+from numba.core import config
+
+from startracker.compiler.replacing import Shortcut
+
+_asked: list[bool] = []
+"""Whether the kernel being compiled asks for vector instructions, the last one, and those that call it."""
+
+
+@contextlib.contextmanager
+def vector_instructions(asked: bool) -> Iterator[None]:
+    """Within this context loops are translated to vector instructions or not."""
+    _asked.append(asked)
+    try:
+        yield
+    finally:
+        _asked.pop()
+
+
+def one_optimisation() -> Iterator[Shortcut]:
+    """Optimisation of a kernel with all that it calls. numba optimises each function alone before, and the whole twice.
+
+    Vector instructions take a sixth of the time, and loops over few stars are slower with them. With LLVM's new pass
+    manager only, which numba has used since its version 0.62.
+    """
+    from numba.core.codegen import CPUCodegen, CPUCodeLibrary
+
+    def run_first(self: Any, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+    def run(self: Any) -> None:
+        passes, builder = self._codegen._module_pass_manager(loop_vectorize=_asked[-1] and config.LOOP_VECTORIZE)
+        passes.run(self._final_module, builder)
+
+    if hasattr(CPUCodegen, "_pass_builder"):
+        yield CPUCodeLibrary, "_optimize_functions", run_first
+        yield CPUCodeLibrary, "_optimize_final_module", run
