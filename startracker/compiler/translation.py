@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -41,14 +42,16 @@ def new_declarations_only() -> Shortcut:
     return BaseContext, "refresh", run
 
 
-def _counted(models: Any, type_: Any) -> bool:
-    """Whether values of a type contain arrays, whose references are counted."""
+def _counted(models: Any, type_: Any) -> frozenset[type]:
+    """Classes of a type and its members whose references are counted: of arrays, lists, text."""
     if id(type_) not in _counted_types:
-        _counted_types[id(type_)] = models[type_].contains_nrt_meminfo(), type_  # the latter keeps its id
+        parts = models[type_].traverse_models()
+        found = frozenset(type(part.fe_type) for part in parts if part.has_nrt_meminfo())
+        _counted_types[id(type_)] = found, type_  # the latter keeps its id
     return _counted_types[id(type_)][0]
 
 
-_counted_types: dict[int, tuple[bool, Any]] = {}
+_counted_types: dict[int, tuple[frozenset[type], Any]] = {}
 
 
 def counted_members_only() -> Shortcut:
@@ -76,7 +79,7 @@ def uncounted_variables() -> Iterator[Shortcut]:
     store, delete = Lower.storevar, Lower.delvar
 
     def plain(self: Any, name: str) -> bool:
-        return not (self._disable_sroa_like_opt or _counted(self.context.data_model_manager, self.typeof(name)))
+        return not self._disable_sroa_like_opt and not _counted(self.context.data_model_manager, self.typeof(name))
 
     def storevar(self: Any, value: Any, name: str, argidx: int | None = None) -> None:
         if argidx is None and name not in self._singly_assigned_vars and plain(self, name):
@@ -119,55 +122,54 @@ def elements_of_arrays() -> Shortcut:
 
 
 def no_counts_of_arguments() -> Shortcut:
-    """Translation of a kernel that neither makes nor returns an array, without counting the references of those that
-    its caller holds."""
+    """Translation of a kernel that neither makes nor returns an array, and has no lists or text, without counting the
+    references: its caller holds the arrays."""
+    from numba.core.errors import NumbaRuntimeError
     from numba.core.typed_passes import BaseNativeLowering
 
     translate = BaseNativeLowering.run_pass
 
     def run_pass(self: Any, state: Any) -> bool:
-        if not _makes_arrays(state):
-            state.targetctx = state.targetctx.subtarget(enable_nrt=False)
+        library, counting = state.library, state.targetctx
+        if not _has_references(state):
+            state.targetctx = counting.subtarget(enable_nrt=False)
+            with contextlib.suppress(NumbaRuntimeError):  # a function of NumPy makes an array for itself
+                return translate(self, state)  # type: ignore[no-any-return]
+            state.library, state.targetctx = library, counting
         return translate(self, state)  # type: ignore[no-any-return]
 
     return BaseNativeLowering, "run_pass", run_pass
 
 
-def _makes_arrays(state: Any) -> bool:
-    """Whether a typed function returns arrays, or has statements that may make one."""
+def _has_references(state: Any) -> bool:
+    """Whether a typed function has lists or text, returns arrays, or has statements that may make one."""
     from numba.core.ir import Assign, Expr, SetItem, StaticSetItem
 
-    def counted(type_: Any) -> bool:
+    def counted(type_: Any) -> frozenset[type]:
         return _counted(state.targetctx.data_model_manager, type_)
 
-    def makes(statement: Any) -> bool:
+    def makes_array(statement: Any) -> bool:
         if isinstance(statement, SetItem | StaticSetItem):  # a copy of what is assigned, if both overlap
-            return counted(state.typemap[statement.value.name])
+            return bool(counted(state.typemap[statement.value.name]))
         value = statement.value if isinstance(statement, Assign) else None
         if not isinstance(value, Expr) or not counted(state.typemap[statement.target.name]):
             return False
         if value.op in ("getitem", "static_getitem"):
             index = value.index if value.op == "getitem" else value.index_var
-            return index is not None and counted(state.typemap[index.name])
+            return index is not None and bool(counted(state.typemap[index.name]))
         if value.op == "call":
             return not isinstance(state.typemap[value.func.name], types.NamedTupleClass)
         return value.op not in _VIEWS
 
-    return counted(state.return_type) or any(
-        makes(statement) for block in state.func_ir.blocks.values() for statement in block.body
-    )
+    if counted(state.return_type) or any(counted(type_) - _ARRAYS for type_ in state.typemap.values()):
+        return True
+    return any(makes_array(statement) for block in state.func_ir.blocks.values() for statement in block.body)
 
 
+_ARRAYS = frozenset((types.Array, types.MemInfoPointer))  # type: ignore[attr-defined]
 _VIEWS = (
-    "getattr",
-    "static_getattr",
-    "build_tuple",
-    "cast",
-    "phi",
-    "getiter",
-    "iternext",
-    "pair_first",
-    "exhaust_iter",
+    *("getattr", "static_getattr", "build_tuple", "cast", "phi"),
+    *("getiter", "iternext", "pair_first", "exhaust_iter"),
 )
 """Statements whose results are arguments of a function, or parts of them."""
 

@@ -165,7 +165,7 @@ def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: Vot
     sectors, there, back, covered, total = counts.sectors, counts.there, counts.back, neighbours.covered, 0
     few, one, highest = need <= 3, np.uint64(1), _FOURTH << np.uint64(3)
     # two bits count to three, from 1 if two are enough; the fourth bit of four is set by the last vote that is needed
-    start = _SECOND * np.uint64(3 - max(need, 2)) if few else _FOURTH * np.uint64(MOST_VOTES - need)
+    start = _SECOND * np.uint64(3 - need) if few else _FOURTH * np.uint64(MOST_VOTES - need)
     for star in range(len(sectors)):
         sectors[star] = start
     for k in range(len(neighbours.star)):

@@ -138,6 +138,25 @@ def _chosen(values, wanted):
     return values[wanted].sum()
 
 
+def _lengths(columns):
+    """Sums of squares; a row of it is not contiguous, and NumPy copies it."""
+    return np.dot(columns[:, 0], columns[:, 0])
+
+
+def _solution(matrix, right):
+    found = np.linalg.solve(matrix, right)
+    return found[0], [2.0 * number for number in found]
+
+
+@pytest.mark.filterwarnings("ignore::numba.core.errors.NumbaPerformanceWarning")
+def test_what_makes_arrays_or_lists_within_is_compiled_too():
+    columns = np.arange(8.0).reshape(4, 2)
+    with shortcuts():
+        assert njit(_lengths)(columns) == 56.0
+        first, found = njit(_solution)(np.diag([2.0, 4.0]), np.array([1.0, 1.0]))
+    assert (first, found) == (0.5, [1.0, 0.5])
+
+
 @pytest.mark.parametrize("layout", ["C", "F", "A"])
 def test_arrays_of_the_caller_outlive_kernels(layout):
     """References are counted where a kernel makes, copies or returns an array, and held by the caller where not."""
