@@ -21,6 +21,8 @@ __all__ = ["SAME_CODE", "SAME_RESULTS", "shortcuts"]
 SAME_CODE = tuple(
     available(
         analysis.remembered_signatures,
+        analysis.settled_statements,
+        analysis.light_error_contexts,
         analysis.no_live_variables,
         analysis.no_copies,
         analysis.renamed_where_used,

@@ -40,6 +40,67 @@ def remembered_signatures() -> Shortcut:
     return BaseFunction, "get_call_type", get_call_type
 
 
+def settled_statements() -> Iterator[Shortcut]:
+    """Inference of types, without the statements of which no variable has another type than when they were last typed.
+
+    numba types all statements of a function again until no type changes, at least twice.
+    """
+    from numba.core.typeinfer import ConstraintNetwork, TypeVarMap
+
+    propagate, look_up = ConstraintNetwork.propagate, TypeVarMap.__getitem__
+    read: list[list[Any]] = []  # by the statement being typed, and by those whose functions are compiled meanwhile
+
+    def noted(self: Any, name: str) -> Any:
+        variable = look_up(self, name)
+        if read:
+            read[-1].append(variable)
+        return variable
+
+    def run(self: Any, typeinfer: Any) -> list[Any]:
+        statements, settled, errors = self.constraints, vars(self).setdefault("settled", {}), []
+        try:
+            for statement in statements:
+                if statement in settled and all(variable.type is type_ for variable, type_ in settled[statement]):
+                    continue
+                self.constraints = [statement]
+                read.append([])
+                try:
+                    found = propagate(self, typeinfer)
+                finally:
+                    variables = read.pop()
+                if not found:
+                    settled[statement] = [(variable, variable.type) for variable in variables]
+                errors += found
+        finally:
+            self.constraints = statements
+        return errors
+
+    yield TypeVarMap, "__getitem__", noted
+    yield ConstraintNetwork, "propagate", run
+
+
+def light_error_contexts() -> Iterator[Shortcut]:
+    """Context of errors, which numba enters for each statement, as a class instead of a generator."""
+    from numba.core import lowering, typeinfer
+    from numba.core.errors import new_error_context  # type: ignore[attr-defined]
+
+    class Context:
+        def __init__(self, text: str, *values: Any, **named: Any) -> None:
+            self.described = text, values, named
+
+        def __enter__(self) -> None:
+            pass
+
+        def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+            if error is not None:
+                text, values, named = self.described
+                with new_error_context(text, *values, **named):
+                    raise error
+
+    yield lowering, "new_error_context", Context
+    yield typeinfer, "new_error_context", Context
+
+
 def no_live_variables() -> Shortcut:
     """Update of a function after each pass, without the variables that are live at the start of its blocks.
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numba import njit, types
+from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 from numba.extending import overload
 
@@ -84,6 +85,10 @@ def test_this_version_of_numba_has_what_the_shortcuts_replace():
     ]
     assert replaced == [
         "numba.core.types.functions.BaseFunction.get_call_type",
+        "numba.core.typeinfer.TypeVarMap.__getitem__",
+        "numba.core.typeinfer.ConstraintNetwork.propagate",
+        "module.numba.core.lowering.new_error_context",
+        "module.numba.core.typeinfer.new_error_context",
         "numba.core.postproc.PostProcessor.run",
         "numba.core.ir.Block.__deepcopy__",
         "numba.core.ir.Scope.__deepcopy__",
@@ -180,6 +185,29 @@ def test_arrays_of_the_caller_outlive_kernels(layout):
             assert counts in (None, now)
             counts = now
     assert ["NRT_incref" in code for f in (ends, kept) for code in f.inspect_llvm().values()] == [False, True]
+
+
+def _growing(n):
+    """A variable whose type is known to the end only after the loop was typed twice."""
+    first = second = third = 1
+    for _ in range(n):
+        first, second, third = second, third, 0.5 * first
+    return first, second, third
+
+
+def _untyped(image):
+    return image.no_such_name + 1
+
+
+def test_types_that_change_in_loops_and_errors_are_numbas():
+    expected = njit(_growing)(7)
+    with pytest.raises(TypingError) as plain:
+        njit(_untyped)(np.zeros(3))
+    with shortcuts():
+        assert njit(_growing)(7) == expected == _growing(7)
+        with pytest.raises(TypingError) as ours:
+            njit(_untyped)(np.zeros(3))
+    assert str(ours.value) == str(plain.value)
 
 
 def _halved(values):
