@@ -12,7 +12,7 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.estimation.directions import normal_equations
-from startracker.geometry.linalg import factorise, transform
+from startracker.geometry.linalg import factorise, substitute, transform
 from startracker.kernels import kernel, kernel_part
 
 _SMALL = 0.03
@@ -141,18 +141,23 @@ def correct(
     Returns
     -------
     Squared Mahalanobis distance νᵀ S⁻¹ ν, correction (n,), updated covariance (n, n), and the innovation in camera axes
-    whitened by the Cholesky factor of S, (3,); NaN unless there are three axes.
+    whitened by the Cholesky factor of S, (3,); NaN unless there are three axes. The distance is NaN, which is within no
+    gate, if S is not positive definite.
     """
     h = np.zeros((len(innovation), len(covariance)))
     h[:, : axes.shape[1]] = axes
     crossed = h @ covariance
     spread = crossed @ h.T + noise
-    gain = np.linalg.solve(spread, crossed).T.copy()
-    weighed = np.linalg.solve(spread, innovation)
+    m, white = len(innovation), np.full(3, np.nan)
+    factor, weighed, gain = spread.copy(), innovation.copy(), crossed.T.copy()
+    if not factorise(factor, m):
+        return np.nan, np.zeros(len(covariance)), covariance.copy(), white
+    substitute(factor, m, weighed)
+    for i in range(len(gain)):
+        substitute(factor, m, gain[i])
     left = np.eye(len(covariance)) - gain @ h
     out = left @ covariance @ left.T + gain @ noise @ gain.T
-    white = np.full(3, np.nan)
-    if len(innovation) == 3:
+    if m == 3:
         turn = h[:, :3].copy()
         white = _whitened(turn.T @ spread @ turn, turn.T @ innovation)
     return float(np.sum(innovation * weighed)), gain @ innovation, 0.5 * (out + out.T), white

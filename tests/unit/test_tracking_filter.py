@@ -47,6 +47,16 @@ def test_update_is_the_linear_filters(noise):
     assert found.distance2 == pytest.approx(change @ np.linalg.solve(p[:3, :3] + r, change))
 
 
+def test_a_measurement_without_a_positive_covariance_changes_nothing():
+    twin = running(RateNoise(1e-5, 1e-4))
+    before, p = twin.attitude, twin.covariance
+    found = twin.update_attitude(turned(before, np.full(3, 1e-5)), np.diag([1e-9, 1e-9, -1.0]))
+    assert not found.accepted
+    assert math.isnan(found.distance2)
+    assert np.array_equal(twin.attitude.quat, before.quat)
+    assert np.array_equal(twin.covariance, p)
+
+
 def test_directions_tell_what_their_attitude_tells():
     """Many stars at once, their Wahba attitude, and star by star: the same state; up to the errors' squares."""
     rng = np.random.default_rng(2)
