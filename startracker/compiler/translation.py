@@ -121,13 +121,23 @@ def elements_of_arrays() -> Shortcut:
     return arrayobj, "basic_indexing", run
 
 
-def no_counts_of_arguments() -> Shortcut:
+def no_counts_of_arguments() -> Iterator[Shortcut]:
     """Translation of a kernel that neither makes nor returns an array, and has no lists or text, without counting the
-    references: its caller holds the arrays."""
+    references, as its caller holds the arrays; and without the deletions of variables that end the counts."""
     from numba.core.errors import NumbaRuntimeError
-    from numba.core.typed_passes import BaseNativeLowering
+    from numba.core.ir_utils import enforce_no_dels, enforce_no_phis
+    from numba.core.postproc import PostProcessor
+    from numba.core.typed_passes import BaseNativeLowering, IRLegalization
 
-    translate = BaseNativeLowering.run_pass
+    delete, translate = IRLegalization.run_pass, BaseNativeLowering.run_pass
+
+    def legalise(self: Any, state: Any) -> bool:
+        if _has_references(state):
+            return delete(self, state)  # type: ignore[no-any-return]
+        enforce_no_phis(state.func_ir)
+        enforce_no_dels(state.func_ir)
+        PostProcessor(state.func_ir).run()
+        return True
 
     def run_pass(self: Any, state: Any) -> bool:
         library, counting = state.library, state.targetctx
@@ -136,9 +146,11 @@ def no_counts_of_arguments() -> Shortcut:
             with contextlib.suppress(NumbaRuntimeError):  # a function of NumPy makes an array for itself
                 return translate(self, state)  # type: ignore[no-any-return]
             state.library, state.targetctx = library, counting
+            PostProcessor(state.func_ir).run(emit_dels=True)
         return translate(self, state)  # type: ignore[no-any-return]
 
-    return BaseNativeLowering, "run_pass", run_pass
+    yield IRLegalization, "run_pass", legalise
+    yield BaseNativeLowering, "run_pass", run_pass
 
 
 def _has_references(state: Any) -> bool:

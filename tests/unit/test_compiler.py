@@ -101,6 +101,7 @@ def test_this_version_of_numba_has_what_the_shortcuts_replace():
         "numba.core.lowering.Lower.storevar",
         "numba.core.lowering.Lower.delvar",
         "module.numba.np.arrayobj.basic_indexing",
+        "numba.core.typed_passes.IRLegalization.run_pass",
         "numba.core.typed_passes.BaseNativeLowering.run_pass",
         "numba.core.pythonapi.PythonAPI.from_native_value",
         "numba.core.pythonapi.PythonAPI.serialize_object",
