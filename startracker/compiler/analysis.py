@@ -48,12 +48,13 @@ def settled_statements() -> Iterator[Shortcut]:
     from numba.core.typeinfer import ConstraintNetwork, TypeVarMap
 
     propagate, look_up = ConstraintNetwork.propagate, TypeVarMap.__getitem__
-    read: list[list[Any]] = []  # by the statement being typed, and by those whose functions are compiled meanwhile
+    # variables and types read by the statement being typed, and by those whose functions are compiled meanwhile
+    read: list[list[tuple[Any, Any]]] = []
 
     def noted(self: Any, name: str) -> Any:
         variable = look_up(self, name)
         if read:
-            read[-1].append(variable)
+            read[-1].append((variable, variable.type))
         return variable
 
     def run(self: Any, typeinfer: Any) -> list[Any]:
@@ -68,8 +69,9 @@ def settled_statements() -> Iterator[Shortcut]:
                     found = propagate(self, typeinfer)
                 finally:
                     variables = read.pop()
-                if not found:
-                    settled[statement] = [(variable, variable.type) for variable in variables]
+                # one that refined a type may have read it as well
+                if not found and all(type_ in (None, variable.type) for variable, type_ in variables):
+                    settled[statement] = [(variable, variable.type) for variable, _ in variables]
                 errors += found
         finally:
             self.constraints = statements
