@@ -98,7 +98,7 @@ class Photometer:
         return np.asarray(_looked_up(self._rate, b_v, giant) * scale)
 
     def star_electrons_per_s(self, catalog: StarCatalog, b_v: FloatArray, giant: FloatArray) -> FloatArray:
-        """`electrons_per_s` of all stars of a catalogue, of these colours and classes; cached."""
+        """`electrons_per_s` of all stars of a catalogue, whose colours and classes these are; cached."""
         if catalog not in self._stars:
             self._stars[catalog] = self.electrons_per_s(catalog.v_mag, b_v, giant)
         return self._stars[catalog]
