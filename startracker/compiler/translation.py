@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from numba.core import types
+from numba.core.types.misc import MemInfoPointer
 
 from startracker.compiler.replacing import Shortcut
 
@@ -103,13 +104,13 @@ def elements_of_arrays() -> Shortcut:
     from numba.core.cgutils import get_item_pointer2, unpack_tuple
     from numba.np import arrayobj
 
-    index_any = arrayobj.basic_indexing
+    index_any: Callable[..., tuple[Any, list[Any], list[Any]]] = arrayobj.basic_indexing
 
     def run(
         context: Any, builder: Any, aryty: Any, ary: Any, index_types: Any, indices: Any, boundscheck: Any = None
     ) -> tuple[Any, list[Any], list[Any]]:
         if boundscheck or len(indices) < aryty.ndim or not all(isinstance(one, types.Integer) for one in index_types):
-            return index_any(context, builder, aryty, ary, index_types, indices, boundscheck)  # type: ignore[no-any-return]
+            return index_any(context, builder, aryty, ary, index_types, indices, boundscheck)
         shape = unpack_tuple(builder, ary.shape, aryty.ndim)
         strides = unpack_tuple(builder, ary.strides, aryty.ndim) if aryty.layout == "A" else ()
         from_start = [
@@ -129,25 +130,26 @@ def no_counts_of_arguments() -> Iterator[Shortcut]:
     from numba.core.postproc import PostProcessor
     from numba.core.typed_passes import BaseNativeLowering, IRLegalization
 
-    delete, translate = IRLegalization.run_pass, BaseNativeLowering.run_pass
+    delete: Callable[..., bool] = IRLegalization.run_pass
+    translate: Callable[..., bool] = BaseNativeLowering.run_pass
 
     def legalise(self: Any, state: Any) -> bool:
         if _has_references(state):
-            return delete(self, state)  # type: ignore[no-any-return]
+            return delete(self, state)
+        state["counting"], state.targetctx = state.targetctx, state.targetctx.subtarget(enable_nrt=False)
         enforce_no_phis(state.func_ir)
         enforce_no_dels(state.func_ir)
         PostProcessor(state.func_ir).run()
         return True
 
     def run_pass(self: Any, state: Any) -> bool:
-        library, counting = state.library, state.targetctx
-        if not _has_references(state):
-            state.targetctx = counting.subtarget(enable_nrt=False)
+        if "counting" in state:
+            library = state.library
             with contextlib.suppress(NumbaRuntimeError):  # a function of NumPy makes an array for itself
-                return translate(self, state)  # type: ignore[no-any-return]
-            state.library, state.targetctx = library, counting
+                return translate(self, state)
+            state.library, state.targetctx = library, state["counting"]
             PostProcessor(state.func_ir).run(emit_dels=True)
-        return translate(self, state)  # type: ignore[no-any-return]
+        return translate(self, state)
 
     yield IRLegalization, "run_pass", legalise
     yield BaseNativeLowering, "run_pass", run_pass
@@ -178,7 +180,7 @@ def _has_references(state: Any) -> bool:
     return any(makes_array(statement) for block in state.func_ir.blocks.values() for statement in block.body)
 
 
-_ARRAYS = frozenset((types.Array, types.MemInfoPointer))  # type: ignore[attr-defined]
+_ARRAYS = frozenset((types.Array, MemInfoPointer))
 _VIEWS = (
     *("getattr", "static_getattr", "build_tuple", "cast", "phi"),
     *("getiter", "iternext", "pair_first", "exhaust_iter"),

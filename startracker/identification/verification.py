@@ -192,13 +192,8 @@ def _settle(
 ) -> _Fit:
     """Match and refit at `step` times the stated errors until the match no longer changes, with a first gate `widen`
     times as wide."""
-    observed, sigma, gate, index = (
-        _focused(stars, focal),
-        stars.sigma,
-        np.empty(len(stars.sigma)),
-        np.empty(0, np.int64),
-    )
-    count = 0
+    sigma, observed, count = stars.sigma, _focused(stars, focal), 0
+    gate, index = np.empty(len(sigma)), np.empty(0, np.int64)
     for round_ in range(_ROUNDS):
         transform(matrix, field.reference, field.predicted)
         for i in range(len(sigma)):
