@@ -83,7 +83,7 @@ class _Assumption(NamedTuple):
     work: float
 
 
-_STATED = _Assumption("errors as stated", TIGHT, 0.0, 0.4, 0.02, 12, 0.0025, 3e6)
+_STATED = _Assumption("errors as stated", TIGHT, 0.0, 0.4, 0.02, 12, 0.0025, 4.5e6)
 _THREE = _Assumption("errors three times as large", MIDDLE, 0.0, TIGHT, 0.005, 3, 0.02, 400e3)
 _FOCAL = _Assumption(f"focal length wrong by up to {FOCAL_RANGE:.1%}", TIGHT, FOCAL_RANGE, 1.25, 0.01, 3, 0.05, 200e3)
 _SEVEN = _Assumption("errors seven times as large", WIDE, 0.0, MIDDLE, 0.001, 0, 0.05, 600e3)
@@ -231,8 +231,10 @@ class _Search:
             return False
         limits = self._limits(assumption)
         nearest = self._nearest[:, : votes.neighbours]
-        effort = Effort(limits, _POLE_WORK, 1.0, _POLE_STAR_WORK, enough=fewest - 3)
-        for pole in range(votes.poles):
+        # besides the pair; one may be missing if there is time for its candidates
+        enough = fewest - (2 if stated and votes.cut_short else 3)
+        effort = Effort(limits, _POLE_WORK, 1.0, _POLE_STAR_WORK, enough=enough)
+        for pole in pole_order(votes.poles, len(self._nearest)):
             if effort.ended:
                 break
             left = limits._replace(work=limits.work - effort.work)
@@ -314,6 +316,14 @@ def _bearings(near: PairList, guide: GuideDatabase) -> tuple[NDArray[np.uint16],
     if bearings is None:
         bearings = _BEARINGS[near] = pair_bearings(guide.directions, near.first, near.second)
     return bearings
+
+
+def pole_order(poles: int, stars: int) -> list[int]:
+    """Stars that are taken as the pole: half of them the brightest, the others evenly among the rest, as hot pixels may
+    be brighter than all stars."""
+    brightest = (poles + 1) // 2
+    rest = poles - brightest
+    return [*range(brightest), *(brightest + k * (stars - brightest) // rest for k in range(rest))]
 
 
 def nearest_stars(vectors: FloatArray) -> IntArray:

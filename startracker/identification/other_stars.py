@@ -20,7 +20,8 @@ from startracker.identification.search_state import Candidates, Stars
 from startracker.kernels import kernel, kernel_part
 
 _MANY = 100.0
-_MOST_OTHERS = 48
+_MOST_OTHERS = 120
+"""As many as are searched: of a hundred false stars most may be brighter than the true ones."""
 _RARE = 1e-4
 
 
@@ -29,11 +30,11 @@ class Others(NamedTuple):
 
     Parameters
     ----------
-    along : (3, 48)
+    along : (3, 120)
         Coordinates along the pair's midpoint, its difference, and the normal to both.
-    gate2 : (48,)
+    gate2 : (120,)
         Square of the gate of each.
-    near : uint8 (48,)
+    near : uint8 (120,)
         Scratch: whether a guide star may be within the gate.
     frame : (3, 3)
         Scratch: frame of the pair.

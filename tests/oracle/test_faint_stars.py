@@ -14,7 +14,8 @@ import pytest
 from scipy.special import erf
 
 from simulator import Renderer, Scenario
-from simulator.sky.background import GALACTIC, star_contrast, starlight_s10
+from simulator.sky.background import star_contrast, starlight_s10
+from simulator.sky.celestial_frames import GALACTIC
 from simulator.sky.faint_stars import FaintSky, StarField
 from simulator.sky.spectra import SOLAR_B_V
 from simulator.sky.star_counts import count_between, draw_magnitudes, light_between_s10

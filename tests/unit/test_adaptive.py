@@ -12,7 +12,7 @@ from startracker.estimation.directions import focal_slopes
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification import Observed, Prior, adaptive
-from startracker.identification.adaptive import nearest_stars
+from startracker.identification.adaptive import nearest_stars, pole_order
 from startracker.identification.bayes_factor import count_table
 from startracker.identification.other_stars import least_matches
 from startracker.identification.pairs import separation
@@ -23,6 +23,7 @@ from startracker.solution import Status
 
 CAMERA = Camera.from_fov(20.0, 512, 512)
 SIGMA = 0.15 * CAMERA.pixel_rad
+HOT = 80
 
 
 @pytest.fixture(scope="module")
@@ -220,3 +221,31 @@ def test_a_field_that_fits_as_stated_is_not_searched_to_the_end(monkeypatch):
         if patient == 2:
             break
     assert patient == 2
+
+
+def test_true_stars_may_all_be_fainter_than_many_false_ones():
+    """Hot pixels: neither poles nor confirming stars among the brightest points alone would find an attitude."""
+    guide = GuideDatabase.build(load_catalog("hipparcos"), Camera.from_fov(10.0, 512, 512), 6.5)
+    rng, camera, solved = np.random.default_rng(8), guide.camera, []
+    while len(solved) < 10:
+        index, _, xy = guide.in_field(Attitude(rng.normal(size=4)).as_matrix(), -2.0)
+        if not 10 <= len(index) <= 14:
+            continue
+        xy = np.concatenate([rng.uniform(0.0, 511.0, (HOT, 2)), xy + rng.normal(0.0, 0.15, xy.shape)])
+        flux = np.concatenate([rng.uniform(1.0, 10.0, HOT), 10.0 ** (-0.4 * guide.v_mag[index])])
+        found = adaptive(Observed(camera.unproject(xy), flux, np.full(len(xy), 0.15 * camera.pixel_rad)), guide)
+        true = found.pairs[found.pairs[:, 0] >= HOT]
+        assert np.array_equal(true[:, 1], index[true[:, 0] - HOT])
+        solved.append(found.status is Status.SOLVED)
+    assert all(solved)
+
+
+@pytest.mark.parametrize(("poles", "stars"), [(1, 1), (1, 9), (2, 9), (7, 9), (9, 9), (60, 74), (119, 120)])
+def test_poles_are_the_brightest_and_others_evenly_among_the_rest(poles, stars):
+    order = pole_order(poles, stars)
+    assert len(order) == len(set(order)) == poles
+    assert order[: (poles + 1) // 2] == list(range((poles + 1) // 2))
+    rest = np.array([*order[(poles + 1) // 2 :], stars])
+    if len(rest) > 1:
+        assert rest[0] == (poles + 1) // 2
+        assert np.ptp(np.diff(rest)) <= 1  # evenly

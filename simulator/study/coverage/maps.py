@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
+from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
 from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
 from startracker.arrays import FloatArray
 from startracker.geometry.attitude import direction_to_radec, radec_to_direction

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
+from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
 from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES, Binned, error_against
 from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel

@@ -12,8 +12,8 @@ from simulator.frame import Frame, FrameTruth, TrueSources
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.sky.background import GALACTIC
 from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
+from simulator.sky.celestial_frames import GALACTIC
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources, pixel_slopes

@@ -17,7 +17,7 @@ from simulator.mission.parameters import OrbitParameters, PointingParameters
 from simulator.mission.pointing import BoresightPath, boresight_path, local_level, mounting_of
 from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.mission.secular import mean_motion, sun_synchronous_inclination
-from simulator.sky.background import ECLIPTIC, GALACTIC, equator_of
+from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
