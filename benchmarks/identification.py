@@ -36,7 +36,7 @@ STEP = 10_000
 NOT_JUDGED = "–"
 NOTES = [
     "Lost in space, from centroids, the same default settings in every case; the scenes are those of",
-    "`benchmarks/scenes.py`.",
+    "`benchmarks/scenes.py`. Both solvers know their epoch; the tracker also that the observer is at rest.",
     "An accepted attitude is wrong if its error is more than 5 pixels across or 1° about the boresight, or more than",
     "ten times the Cramér–Rao bound if that is larger. CPU ms are those of the whole solve in one process; `ident. ms`",
     "are wall-clock milliseconds of identification alone. `under 4 true` is the fraction of scenes with fewer than",

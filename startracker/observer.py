@@ -22,6 +22,8 @@ _OBLIQUITY_RAD = math.radians(23.4393)
 _POLE_Y, _POLE_Z = -math.sin(_OBLIQUITY_RAD), math.cos(_OBLIQUITY_RAD)
 """Ecliptic pole; its x is 0."""
 _EARTH_PART, _ORBIT_PART = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
+ABERRATION_SCALE_SIGMA = math.sqrt(_EARTH_PART + _ORBIT_PART)
+"""Standard deviation of the relative change of a field's scale by unknown aberration, in the ecliptic."""
 _FASTEST_KM_S, _FARTHEST_AU, _LONGEST_YEARS = 1000.0, 1000.0, 10_000
 """Upper limits: the fastest spacecraft passed the Sun at 192 km/s, the most distant is at 170 au."""
 

@@ -3,6 +3,7 @@ weights."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -36,7 +37,7 @@ from startracker.geometry.image_map import CX, CY, HEIGHT, WIDTH, ImageMap, pixe
 from startracker.geometry.linalg import cross, solve, turned
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.kernels import kernel
-from startracker.observer import Observer, corrects_aberration, unknown_aberration
+from startracker.observer import ABERRATION_SCALE_SIGMA, Observer, corrects_aberration, unknown_aberration
 from startracker.records import made
 from startracker.sorting import median
 
@@ -53,12 +54,33 @@ RATE_SIGMA_RAD_S = math.radians(2.0)
 """Assumed standard deviation of an unknown body rate about each axis."""
 EPOCH_SIGMA_YR = 30.0
 """Assumed interval between the catalogue's epoch and a frame of unknown time, years."""
+
+
+class Displaced(NamedTuple):
+    """Displacements of the stars that are always fitted.
+
+    Parameters
+    ----------
+    rolls : bool
+        By the body rate, in the rows of a rolling shutter.
+    moves : bool
+        By the stars' space motion since the catalogue's epoch, if the time is unknown.
+    scales : bool
+        By aberration, which changes the scale of the field, if the velocity is unknown.
+    """
+
+    rolls: bool
+    moves: bool
+    scales: bool
+
+
 _EXTRA_SIGMA = {
-    (rolls, moves): np.array([RATE_SIGMA_RAD_S] * 3 * rolls + [EPOCH_SIGMA_YR] * moves)
-    for rolls in (False, True)
-    for moves in (False, True)
+    Displaced(*given): np.array(
+        [RATE_SIGMA_RAD_S] * 3 * given[0] + [EPOCH_SIGMA_YR] * given[1] + [ABERRATION_SCALE_SIGMA] * given[2]
+    )
+    for given in itertools.product((False, True), repeat=3)
 }
-"""Standard deviations of the amplitudes of `_seen_stars`, for a rolling shutter or not, an unknown epoch or not."""
+"""Standard deviations of the amplitudes of `_seen_stars`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +162,9 @@ def refine(
     if known and stars.covariance_px2 is not None:
         stated = stars.covariance_px2 + floor**2 * np.eye(2)
     as_assumed = probability_as_assumed(stars.misfit)
-    free_scale = free_focal or not corrects_aberration(observer)
-    extra_sigma = _EXTRA_SIGMA[camera.row_time_s != 0.0, observer is None]
-    field = _Field(xy, stated, known, camera, guide, free_scale, observer, as_assumed, extra_sigma)
+    aberrated = not (free_focal or corrects_aberration(observer))
+    displaced = Displaced(camera.row_time_s != 0.0, observer is None, aberrated)
+    field = _Field(xy, stated, known, camera, guide, free_focal, observer, as_assumed, displaced)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
     if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
@@ -224,8 +246,12 @@ class _Field(NamedTuple):
     free_focal: bool
     observer: Observer | None
     as_assumed: float
-    extra_sigma: FloatArray
-    """Prior standard deviations (E,) of the amplitudes of the displacements of `seen`."""
+    displaced: Displaced
+
+    @property
+    def extra_sigma(self) -> FloatArray:
+        """Prior standard deviations (E,) of the amplitudes of the displacements of `seen`."""
+        return _EXTRA_SIGMA[self.displaced]
 
     @property
     def centre_px(self) -> FloatArray:
@@ -236,7 +262,7 @@ class _Field(NamedTuple):
         """`_seen_stars` of this camera."""
         sky, motion, row_time_s = self.guide.directions, self.guide.motion_axes, float(self.camera.row_time_s)
         seen: tuple[FloatArray, FloatArray, FloatArray, FloatArray] = _seen_stars(
-            guides, matrix, sky, motion, self.camera.image_map, row_time_s, self.observer is None
+            guides, matrix, sky, motion, self.camera.image_map, row_time_s, self.displaced
         )
         return seen
 
@@ -362,11 +388,11 @@ def _seen_stars(
     motion: FloatArray,
     image: ImageMap,
     row_time_s: float,
-    moves: bool,
+    displaced: Displaced,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Pixels (M, 2) of guide stars at an attitude (3, 3), the same from the principal point, their derivatives (M, 2,
-    3) (`pixel_slopes`), and the displacements (M, 2, E) that are always fitted: by the rotation between the rows'
-    exposures, one about each axis unless `row_time_s` is 0, and per year, if `moves`, by the space motion (3, G)."""
+    3) (`pixel_slopes`), and the displacements (M, 2, E) that are always fitted: by the rotation about each axis between
+    the rows' exposures, per year by the space motion (3, G), and by a change of scale."""
     vectors = np.empty((len(guides), 3))
     for n in range(len(guides)):
         guide = guides[n]
@@ -374,8 +400,8 @@ def _seen_stars(
         for k in range(3):
             vectors[n, k] = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
     pixels, slopes = to_pixels(vectors, image), pixel_slopes(vectors, image)
-    rows, middle = 3 if row_time_s != 0.0 else 0, (image[HEIGHT] - 1.0) / 2.0
-    extra, offset = np.zeros((len(guides), 2, rows + moves)), np.empty_like(pixels)
+    rows, moves, middle = 3 * displaced.rolls, displaced.moves, (image[HEIGHT] - 1.0) / 2.0
+    extra, offset = np.zeros((len(guides), 2, rows + moves + displaced.scales)), np.empty_like(pixels)
     for n in range(len(guides)):
         offset[n, 0], offset[n, 1] = pixels[n, 0] - image[CX], pixels[n, 1] - image[CY]
         guide, row_s = guides[n], (pixels[n, 1] - middle) * row_time_s
@@ -388,4 +414,6 @@ def _seen_stars(
                     extra[n, axis, k] = slopes[n, axis, k] * row_s
                 if moves:
                     extra[n, axis, rows] += slopes[n, axis, k] * turn
+        for axis in range(2 if displaced.scales else 0):
+            extra[n, axis, rows + moves] = offset[n, axis]
     return pixels, offset, slopes, extra

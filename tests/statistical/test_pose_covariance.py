@@ -131,11 +131,28 @@ def earthly(rng):
     return Observer(rng.normal(1991.25, 30.0), earth + 7.6 * orbit / np.linalg.norm(orbit))
 
 
-def test_without_an_observer_the_covariance_has_aberration_and_epoch(tracker):
-    nees = lists(tracker, 12, 600, 5, lambda rng, n: np.full(n, 0.05), seen_by=earthly, known=True)
+@pytest.mark.parametrize("sigma_px", [0.005, 0.05])
+def test_without_an_observer_the_covariance_has_aberration_and_epoch(tracker, sigma_px):
+    """In scale, too: aberration displaces stars at the edge by up to 0.05 px."""
+    nees = lists(tracker, 12, 600, 5, lambda rng, n: np.full(n, sigma_px), seen_by=earthly, known=True)
     # across the boresight the error is that of one velocity of known size: its square varies by less than χ²'s
     assert 2.5 < nees.mean() < 3.0 + 3.0 * np.sqrt(6.0 / 600)
     assert np.mean(nees > chi2.isf(0.01, 3)) < 0.02
+
+
+def test_an_unknown_observer_costs_few_stars_a_twentieth(tracker):
+    """The stars' motion and a ten thousandth of the scale are unknown then, which is less than a free focal length."""
+    rng, square = np.random.default_rng(6), np.zeros(2)
+    for _ in range(600):
+        attitude = Attitude(rng.normal(size=4))
+        index, _, xy = tracker.guide.in_field(attitude.as_matrix(), -2.0)
+        chosen = np.sort(rng.choice(len(index), min(len(index), 6), replace=False))
+        pairs = np.stack([np.arange(len(chosen)), index[chosen]], axis=1)
+        seen = Measured(xy[chosen] + rng.normal(0.0, 0.1, (len(chosen), 2)))
+        for k, told in enumerate((None, Observer(tracker.guide.epoch_jyear, np.zeros(3)))):
+            found = refine(pairs, seen, tracker.camera, tracker.guide.seen_by(told), wahba_svd, observer=told)
+            square[k] += np.sum(attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))[:2] ** 2)
+    assert 1.0 <= np.sqrt(square[0] / square[1]) < 1.08  # paired: 1.06, and 1.12 with a free focal length
 
 
 def test_an_unknown_observer_costs_twenty_arcseconds(tracker):
