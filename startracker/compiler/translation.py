@@ -25,7 +25,6 @@ def new_declarations_only() -> Shortcut:
     from numba.core.base import BaseContext
 
     refresh = BaseContext.refresh
-    seen: dict[int, int] = {}
 
     def declared(context: Any) -> int:
         return sum(
@@ -36,9 +35,9 @@ def new_declarations_only() -> Shortcut:
 
     def run(self: Any) -> None:
         count = declared(self) + declared(self.typing_context)
-        if seen.get(id(self)) != count:
+        if vars(self).get("declared_when_refreshed") != count:
             refresh(self)
-            seen[id(self)] = declared(self) + declared(self.typing_context)
+            self.declared_when_refreshed = declared(self) + declared(self.typing_context)
 
     return BaseContext, "refresh", run
 
