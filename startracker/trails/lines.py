@@ -42,21 +42,25 @@ def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     Pixels that are not finite count as background; rows and columns that fill no square are left out.
     """
     height, width = residual.shape[0] // side, residual.shape[1] // side
-    out, line = np.zeros((height, width), np.float32), np.empty(width * side, np.float32)
+    out, line = np.empty((height, width), np.float32), np.empty(width * side, np.float32)
     zero, last = np.float32(0.0), len(noise.lines) - 1
     for y in range(height):
-        line[:] = zero
-        for j in range(side):
+        first = residual[y * side]
+        for x in range(width * side):
+            line[x] = first[x] if abs(first[x]) < np.inf else zero
+        for j in range(1, side):
             row = residual[y * side + j]
             for x in range(width * side):
                 line[x] += row[x] if abs(row[x]) < np.inf else zero
         sums, share = out[y], noise.share[y * side]
         above, below = noise.lines[noise.cell[y * side]], noise.lines[min(noise.cell[y * side] + 1, last)]
-        for i in range(side):
+        for x in range(width):
+            sums[x] = line[x * side]
+        for i in range(1, side):
             for x in range(width):
                 sums[x] += line[x * side + i]
         for x in range(width):  # the noise hardly varies over a bin
-            sums[x] /= side * (above[x * side] + share * (below[x * side] - above[x * side]))
+            sums[x] /= np.float32(side) * (above[x * side] + share * (below[x * side] - above[x * side]))
     return out
 
 

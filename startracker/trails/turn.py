@@ -20,6 +20,7 @@ from startracker.centroid.psf_fit import MISFIT_SIGMA
 from startracker.centroid.result import Centroids
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
+from startracker.geometry.linalg import solve
 from startracker.trails.result import Trails
 
 _MOTION_ERROR_PX, _MOTION_ERROR_SHARE = 0.3, 0.02
@@ -125,7 +126,7 @@ def weighted_step(
     slopes, values = design.reshape(-1, 3), target.ravel()
     weighted = slopes.T / (1.0 + ((values - slopes @ found) / _CAUCHY) ** 2)
     normal = weighted @ slopes + information
-    return np.asarray(np.linalg.solve(normal, weighted @ values)), normal
+    return solve(normal, weighted @ values), normal
 
 
 def axes_of(lengths: FloatArray) -> FloatArray:
