@@ -38,6 +38,7 @@ SAME_RESULTS = tuple(
         translation.elements_of_arrays,
         translation.no_counts_of_arguments,
         translation.classes_by_constant,
+        optimisation.wide_vectors,
         optimisation.one_optimisation,
     )
 )

@@ -106,6 +106,7 @@ def test_this_version_of_numba_has_what_the_shortcuts_replace():
         "numba.core.pythonapi.PythonAPI.from_native_value",
         "numba.core.pythonapi.PythonAPI.serialize_object",
         "numba.core.pythonapi.PythonAPI.unserialize",
+        "numba.core.codegen.CPUCodeLibrary.add_ir_module",
         "numba.core.codegen.CPUCodeLibrary._optimize_functions",
         "numba.core.codegen.CPUCodeLibrary._optimize_final_module",
     ]
