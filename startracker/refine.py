@@ -3,7 +3,6 @@ weights."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -33,12 +32,12 @@ from startracker.estimation.pose import (
 )
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
-from startracker.geometry.image_map import CX, CY, HEIGHT, WIDTH, ImageMap, pixel_slopes, to_pixels
-from startracker.geometry.linalg import cross, solve, turned
+from startracker.geometry.image_map import CX, WIDTH, pixel_slopes
+from startracker.geometry.linalg import solve, turned
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
-from startracker.kernels import kernel
-from startracker.observer import ABERRATION_SCALE_SIGMA, Observer, corrects_aberration, unknown_aberration
+from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.records import made
+from startracker.seen_stars import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.sorting import median
 
 _FEWEST_TO_REJECT = 4
@@ -50,37 +49,6 @@ NAMED_PX, BY_CHANCE = 2.5, 0.02
 have a centroid at this distance by chance."""
 _MISFITTING = 0.01
 """Probability that star images are as assumed, below which errors may depend on the sub-pixel position."""
-RATE_SIGMA_RAD_S = math.radians(2.0)
-"""Assumed standard deviation of an unknown body rate about each axis."""
-EPOCH_SIGMA_YR = 30.0
-"""Assumed interval between the catalogue's epoch and a frame of unknown time, years."""
-
-
-class Displaced(NamedTuple):
-    """Displacements of the stars that are always fitted.
-
-    Parameters
-    ----------
-    rolls : bool
-        By the body rate, in the rows of a rolling shutter.
-    moves : bool
-        By the stars' space motion since the catalogue's epoch, if the time is unknown.
-    scales : bool
-        By aberration, which changes the scale of the field, if the velocity is unknown.
-    """
-
-    rolls: bool
-    moves: bool
-    scales: bool
-
-
-_EXTRA_SIGMA = {
-    Displaced(*given): np.array(
-        [RATE_SIGMA_RAD_S] * 3 * given[0] + [EPOCH_SIGMA_YR] * given[1] + [ABERRATION_SCALE_SIGMA] * given[2]
-    )
-    for given in itertools.product((False, True), repeat=3)
-}
-"""Standard deviations of the amplitudes of `_seen_stars`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +219,7 @@ class _Field(NamedTuple):
     @property
     def extra_sigma(self) -> FloatArray:
         """Prior standard deviations (E,) of the amplitudes of the displacements of `seen`."""
-        return _EXTRA_SIGMA[self.displaced]
+        return EXTRA_SIGMA[self.displaced]
 
     @property
     def centre_px(self) -> FloatArray:
@@ -259,9 +227,9 @@ class _Field(NamedTuple):
         return self.camera.image_map[CX:WIDTH]
 
     def seen(self, guides: IntArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """`_seen_stars` of this camera."""
+        """`seen_stars` of this camera."""
         sky, motion, row_time_s = self.guide.directions, self.guide.motion_axes, float(self.camera.row_time_s)
-        seen: tuple[FloatArray, FloatArray, FloatArray, FloatArray] = _seen_stars(
+        seen: tuple[FloatArray, FloatArray, FloatArray, FloatArray] = seen_stars(
             guides, matrix, sky, motion, self.camera.image_map, row_time_s, self.displaced
         )
         return seen
@@ -378,42 +346,3 @@ def _refocused(
         factor = math.exp(change[3])
         camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
     return camera, matrix
-
-
-@kernel
-def _seen_stars(
-    guides: IntArray,
-    matrix: FloatArray,
-    directions: FloatArray,
-    motion: FloatArray,
-    image: ImageMap,
-    row_time_s: float,
-    displaced: Displaced,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pixels (M, 2) of guide stars at an attitude (3, 3), the same from the principal point, their derivatives (M, 2,
-    3) (`pixel_slopes`), and the displacements (M, 2, E) that are always fitted: by the rotation about each axis between
-    the rows' exposures, per year by the space motion (3, G), and by a change of scale."""
-    vectors = np.empty((len(guides), 3))
-    for n in range(len(guides)):
-        guide = guides[n]
-        x, y, z = directions[guide, 0], directions[guide, 1], directions[guide, 2]
-        for k in range(3):
-            vectors[n, k] = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
-    pixels, slopes = to_pixels(vectors, image), pixel_slopes(vectors, image)
-    rows, moves, middle = 3 * displaced.rolls, displaced.moves, (image[HEIGHT] - 1.0) / 2.0
-    extra, offset = np.zeros((len(guides), 2, rows + moves + displaced.scales)), np.empty_like(pixels)
-    for n in range(len(guides)):
-        offset[n, 0], offset[n, 1] = pixels[n, 0] - image[CX], pixels[n, 1] - image[CY]
-        guide, row_s = guides[n], (pixels[n, 1] - middle) * row_time_s
-        # θ = motion × v, with −θ × v = motion, for motion across v
-        x, y, z = cross(motion[:, guide], directions[guide])
-        for k in range(3):
-            turn = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
-            for axis in range(2):
-                if rows > 0:
-                    extra[n, axis, k] = slopes[n, axis, k] * row_s
-                if moves:
-                    extra[n, axis, rows] += slopes[n, axis, k] * turn
-        for axis in range(2 if displaced.scales else 0):
-            extra[n, axis, rows + moves] = offset[n, axis]
-    return pixels, offset, slopes, extra

@@ -26,6 +26,7 @@ from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.identification.candidate_search import Effort, Verifier
 from startracker.identification.hypothesis import HypothesisPool, kernel_stars, too_few
 from startracker.identification.observed import Identification, Observed, Prior
+from startracker.identification.other_stars import MOST_STARS
 from startracker.identification.pole_votes import VOTE_SIGMAS, VoteCounts, pair_bearings, vote_about
 from startracker.identification.search_plan import (
     ROLLS,
@@ -94,7 +95,7 @@ searched by votes: a rival would need that much evidence."""
 _MULTIPLES = (1.0, 1.5, 2.25, 3.5)
 """Multiples of the fewest true stars that could be accepted for which the search by votes is planned, if errors are as
 stated and the fewest cannot be found within its operations."""
-_MOST_STARS, _WIDE_STARS = 120, 25
+_WIDE_STARS = 25
 _TRIANGLE_WORK, _TRIANGLE_STAR_WORK = 300.0, 50.0
 _POLE_WORK, _POLE_STAR_WORK = 100.0, 25.0
 _MANY_FOUND, _LEVER = 201, 2.25
@@ -184,7 +185,7 @@ class _Search:
     @cached_property
     def _nearest(self) -> IntArray:
         """The other stars by their distance from each."""
-        return nearest_stars(self._observed.vectors[:_MOST_STARS])
+        return nearest_stars(self._observed.vectors[:MOST_STARS])
 
     @cached_property
     def _price(self) -> FloatArray:
@@ -260,7 +261,7 @@ class _Search:
     def _plan(self, assumption: _Assumption) -> tuple[Plan, int]:
         """The search by votes, and the fewest true stars with which a field could be accepted."""
         observed, guide = self._observed, self._guide
-        n, free = min(len(observed), _MOST_STARS), assumption.focal_range > 0.0
+        n, free = min(len(observed), MOST_STARS), assumption.focal_range > 0.0
         area, sigma = guide.solid_angle_sr, self._sigma
         side, guides = math.sqrt(area), len(guide)
         evidence = evidence_of_matches(

@@ -20,8 +20,8 @@ from startracker.identification.search_state import Candidates, Stars
 from startracker.kernels import kernel, kernel_part
 
 _MANY = 100.0
-_MOST_OTHERS = 120
-"""As many as are searched: of a hundred false stars most may be brighter than the true ones."""
+MOST_STARS = 120
+"""Number of the brightest stars that are searched and confirm: a hundred false ones may be brighter than the true."""
 _RARE = 1e-4
 
 
@@ -87,7 +87,7 @@ def midpoint_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
 @kernel_part
 def room() -> Others:
     """Empty arrays for the other stars."""
-    n = _MOST_OTHERS
+    n = MOST_STARS
     return Others(np.empty((3, n)), np.empty(n), np.empty(n, np.uint8), np.empty((3, 3)))
 
 
@@ -104,7 +104,7 @@ def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Other
     apart2 = (u[0] - w[0]) ** 2 + (u[1] - w[1]) ** 2 + (u[2] - w[2]) ** 2
     count = 0
     for star in range(len(stars.vectors)):
-        if count == _MOST_OTHERS:
+        if count == MOST_STARS:
             break
         if star == i or star == j or star == k:  # noqa: PLR1714, SIM109  # a tuple costs 0.3 s of compiling
             continue

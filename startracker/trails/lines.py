@@ -45,7 +45,7 @@ def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     out, line = np.empty((height, width), np.float32), np.empty(width * side, np.float32)
     zero, last = np.float32(0.0), len(noise.lines) - 1
     for y in range(height):
-        first = residual[y * side]
+        first = residual[y * side]  # without zeros to begin with: a quarter faster
         for x in range(width * side):
             line[x] = first[x] if abs(first[x]) < np.inf else zero
         for j in range(1, side):
