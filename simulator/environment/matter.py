@@ -1,9 +1,12 @@
-"""Slowing down of protons and electrons in aluminium and silicon, and displacement damage in silicon: tables.
+"""Slowing down of protons and electrons in aluminium and silicon, and displacement damage in silicon.
 
-Between the points all columns are power laws (linear in logarithms).
+Between the points of the tables all columns are power laws (linear in logarithms).
 """
 
 from __future__ import annotations
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,24 +52,29 @@ _PROTONS = np.array(
 """Kinetic energy; stopping power and range in aluminium, stopping power in silicon (NIST PSTAR: Berger et al., NISTIR
 4999; ICRU 49); non-ionising energy loss in silicon (SR-NIEL calculator, Boschini et al., sr-niel.org)."""
 
-# MeV; MeV cm²/g
-_ELECTRONS = np.array(
-    [
-        (0.04, 5.909),
-        (0.1, 3.177),
-        (0.2, 2.174),
-        (0.5, 1.592),
-        (1, 1.465),
-        (1.5, 1.460),
-        (2, 1.475),
-        (3, 1.510),
-        (4, 1.540),
-        (5, 1.564),
-        (7, 1.599),
-        (10, 1.636),
-    ]
-)
-"""Kinetic energy; collision stopping power in silicon (NIST ESTAR: Berger et al., NISTIR 4999; ICRU 37)."""
+
+class Medium(NamedTuple):
+    """Parameters of the collisions of electrons with a medium: ICRU 37, with the density correction in the form of
+    Sternheimer, Berger & Seltzer 1984 (At. Data Nucl. Data Tables 30, 261)."""
+
+    charge_over_mass: float
+    """Z/A, mol/g."""
+    excitation_ev: float
+    """Mean excitation energy I."""
+    minus_c: float
+    a: float
+    exponent: float
+    x_low: float
+    x_high: float
+    delta_low: float
+
+
+ALUMINIUM = Medium(0.48181, 166.0, 4.2395, 0.08024, 3.6345, 0.1708, 3.0127, 0.12)
+SILICON = Medium(0.49848, 173.0, 4.4351, 0.14921, 3.2546, 0.2014, 2.8715, 0.14)
+
+_ELECTRON_MEV = 0.510_998_95
+_COLLISION_MEV_CM2_G = 0.153_537
+"""2π r_e² m_e c² N_A."""
 
 
 def _power_law(x: ArrayLike, points: FloatArray, values: FloatArray) -> FloatArray:
@@ -93,9 +101,35 @@ def proton_niel_silicon(energy_mev: ArrayLike) -> FloatArray:
     return _power_law(energy_mev, _PROTONS[:, 0], _PROTONS[:, 4])
 
 
-def electron_stopping_silicon(energy_mev: ArrayLike) -> FloatArray:
-    """Collision stopping power of silicon for electrons, MeV cm²/g, 0.04 to 10 MeV."""
-    return _power_law(energy_mev, _ELECTRONS[:, 0], _ELECTRONS[:, 1])
+def electron_stopping(energy_mev: ArrayLike, medium: Medium = SILICON) -> FloatArray:
+    """Collision stopping power for electrons, MeV cm²/g, 0.01 to 1000 MeV.
+
+    Bethe's formula for electrons (ICRU 37, eq. 2.4; Berger & Seltzer 1982, NBSIR 82-2550), with which NIST's ESTAR is
+    computed: S/ρ = k Z/A /β² [ln(T/I)² + ln(1 + τ/2) + (1 − β²)(1 + τ²/8 − (2τ + 1) ln 2) − δ], τ = T/m_e c².
+
+    Parameters
+    ----------
+    energy_mev : array
+        Kinetic energy T.
+    medium : Medium
+    """
+    energy = np.asarray(energy_mev, dtype=float)
+    tau = energy / _ELECTRON_MEV
+    beta2 = tau * (tau + 2.0) / (tau + 1.0) ** 2
+    shape = (1.0 - beta2) * (1.0 + tau**2 / 8.0 - (2.0 * tau + 1.0) * math.log(2.0))
+    logarithm = 2.0 * np.log(energy / (medium.excitation_ev * 1e-6)) + np.log1p(0.5 * tau)
+    density = _density_effect(np.log10(tau * (tau + 2.0)) / 2.0, medium)
+    return np.asarray(
+        _COLLISION_MEV_CM2_G * medium.charge_over_mass / beta2 * (logarithm + shape - density), dtype=float
+    )
+
+
+def _density_effect(x: FloatArray, medium: Medium) -> FloatArray:
+    """Sternheimer's δ at x = lg βγ."""
+    rising = 2.0 * math.log(10.0) * x - medium.minus_c
+    bend = medium.a * np.maximum(medium.x_high - x, 0.0) ** medium.exponent
+    low = medium.delta_low * 10.0 ** (2.0 * (x - medium.x_low))
+    return np.where(x < medium.x_low, low, rising + bend)
 
 
 _KATZ_PENFOLD_MEV = np.geomspace(0.01, 10.0, 301)

@@ -61,7 +61,7 @@ def electron_dose_mev_g(spectrum: Spectrum, shield_mm: float) -> float:
 
     def loss(energy: FloatArray) -> FloatArray:
         rest = np.maximum(matter.electron_range_g_cm2(energy) - thickness, 1e-9)
-        return matter.electron_stopping_silicon(matter.electron_energy_mev(rest))
+        return matter.electron_stopping(matter.electron_energy_mev(rest))
 
     least = float(matter.electron_energy_mev(matter.electron_range_g_cm2(_LEAST_ELECTRON_MEV) + thickness))
     return _dose(spectrum, least, loss)

@@ -221,3 +221,14 @@ def test_galactic_rays_alone_need_no_package(monkeypatch):
     transients = build_transients(load("environment.galactic=true"))
     rate = transients.flux(np.zeros(1), np.array([[0.0, 0.0, 7178.0]])).total[0]
     assert 1.0 < rate < 3.0  # half of the polar flux, 4 to 5 /cm²/s outside the field at solar minimum, less the Earth
+
+
+def test_number_of_displacement_interactions_is_dose_over_dose_per_interaction():
+    """Interactions in a pixel = D V / (dose × volume of one), and their mean dark current times their number, with that
+    of telegraph pixels, is the whole (Belloir et al. 2016)."""
+    inner = Dose(1.0, 0.0, 0.0, 5e6)
+    aged = damage(inner, inner, Pixel(100.0, 26.85, False), Environment(depletion_um=4.0, age_years=1.0))
+    per_interaction = COEFFICIENTS["dose_per_interaction"].value
+    assert aged.displacement.interactions_per_pixel == pytest.approx(5e6 / 1e6 * 400.0 / per_interaction, rel=1e-12)
+    moving = aged.telegraph.pixel_fraction * aged.telegraph.dark_e_s * aged.telegraph.high_share
+    assert aged.mean_dark_e_s == pytest.approx(aged.displacement.mean_e_s + moving, rel=1e-12)
