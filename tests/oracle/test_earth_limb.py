@@ -23,11 +23,12 @@ from simulator.sky.earth import (
     earth_in_field,
     earth_radiance_map,
     earth_s10,
+    has_disk,
     occulted,
     stray_sources,
 )
 from simulator.sky.parameters import Sky
-from simulator.sky.solar_system import Bodies
+from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
 from startracker.geometry.attitude import Attitude, direction_to_radec
 from startracker.geometry.camera import Camera
 
@@ -161,3 +162,24 @@ def test_shipped_scenarios_never_see_the_earth(path):
         attitude, section = scene.pointing.camera, renderer.scenario.sky
         assert not (section.earth and earth_in_field(renderer.camera, attitude, scene.r_km))  # xybion.yaml has none
         assert diffuse_sky_s10(renderer.camera, attitude, scene.r_km, scene.sun_direction, section) == 75.0
+
+
+def test_the_earth_is_in_the_field_when_only_its_air_is():
+    """A field whose edge reaches 100 km above the ground sees the limb, and one whose edge is 200 km above nothing: the
+    air ends at 180 km (`ATMOSPHERE_TOP_KM`)."""
+    camera = Camera.from_fov(10.0, 400, 400)
+    for edge_km, seen in ((-50.0, True), (100.0, True), (175.0, True), (185.0, False), (400.0, False)):
+        edge = math.asin((EARTH_RADIUS_KM + edge_km) / 7178.137)
+        away = edge + camera.half_diagonal_rad  # from the nadir, −x
+        boresight = np.array([-math.cos(away), math.sin(away), 0.0])
+        attitude = Attitude.from_radec_roll(*np.degrees(direction_to_radec(boresight)), 0.0)
+        assert earth_in_field(camera, attitude, R_KM) == seen, edge_km
+
+
+@pytest.mark.parametrize(
+    ("distance_km", "drawn"), [(7000.0, True), (EARTH_DISK_KM - 1.0, True), (EARTH_DISK_KM, False)]
+)
+def test_the_earth_is_drawn_once(distance_km, drawn):
+    """As a disk with surface and limb up to `EARTH_DISK_KM`, and beyond as one of the bodies, which `has_disk` excludes."""
+    assert has_disk(Sky(earth=True), np.array([0.0, -distance_km, 0.0])) == drawn
+    assert not has_disk(Sky(earth=False), np.array([0.0, -distance_km, 0.0]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -14,9 +15,27 @@ from simulator.build import sequence_motion
 from simulator.mission.motion import rate_profile
 from simulator.study.datasheet import frames
 from simulator.study.datasheet.accuracy import normal_factor
-from simulator.study.datasheet.performance import ACQUIRED, bracket, frames_to_acquire, recovery_frames, swinging
+from simulator.study.datasheet.performance import (
+    ACQUIRED,
+    FIRST_SHARE,
+    _greatest_acceleration,
+    bracket,
+    exclusion,
+    frames_to_acquire,
+    recovery_frames,
+    swinging,
+)
 from simulator.study.datasheet.run import stages_of
-from simulator.study.datasheet.sheet import Estimate, Quantity, mean_of, proportion, rms_of, select, upper_limit
+from simulator.study.datasheet.sheet import (
+    Amounts,
+    Estimate,
+    Quantity,
+    mean_of,
+    proportion,
+    rms_of,
+    select,
+    upper_limit,
+)
 from simulator.study.datasheet.tables import estimate_text
 from startracker.geometry.attitude import Attitude
 
@@ -187,3 +206,50 @@ def test_a_boresight_at_an_angle_from_a_body(angle_deg: float) -> None:
     cosines = np.array(around) @ direction
     assert cosines == pytest.approx(np.full(3, math.cos(math.radians(angle_deg))), abs=1e-12)
     assert np.linalg.norm(np.mean(around, axis=0)) < 1.0 - 1e-6
+
+
+class Answers:
+    """A task runner that knows the limits of a camera instead of running frames."""
+
+    def __init__(self, *, angles_deg: dict[str, float] | None = None, acceleration_deg_s2: float = 0.0) -> None:
+        self.angles_deg, self.acceleration_deg_s2, self.accelerations = angles_deg, acceleration_deg_s2, []
+
+    def run(self, tasks):
+        return [self._answer(task) for task in tasks]
+
+    def _answer(self, task):
+        if task.method == "near_body":
+            _, count, body, angle_deg = task.arguments
+            return {"right": np.full(count, angle_deg >= self.angles_deg[body])}
+        times = [point.at_s for point in task.scenario.sequence.rates]
+        # the rate rises from 0 to the swing within the first quarter
+        values = [max(point.roll_deg_s, point.pitch_deg_s, point.yaw_deg_s) for point in task.scenario.sequence.rates]
+        acceleration = max(values) / times[1]
+        self.accelerations.append(acceleration)
+        solved = "solved" if acceleration <= self.acceleration_deg_s2 else "no_match"
+        return {"status": np.full(40, solved), "wrong": np.zeros(40, dtype=bool)}
+
+
+AMOUNTS = Amounts(*[20] * len(dataclasses.fields(Amounts)))
+
+
+def test_exclusion_angles_are_those_at_which_frames_are_solved() -> None:
+    """20 bisections of the logarithm leave a bracket of 1e-6: the angle that passed is the camera's."""
+    angles = {"sun": 34.0, "earth": 21.0, "moon": 5.5}
+    scenario = SCENARIO.changed({"optics.baffle.pst": "vane", "sky.planets": True})
+    found = {quantity.name: quantity.estimate for quantity in exclusion(scenario, Answers(angles_deg=angles), AMOUNTS)}
+    for body, angle_deg in angles.items():
+        size = found[f"smallest_angle_{body}"]
+        assert size.value == pytest.approx(angle_deg, rel=1e-5), body
+        assert size.low <= angle_deg <= size.value == size.high
+        assert size.low == pytest.approx(angle_deg, rel=1e-5)
+
+
+@pytest.mark.parametrize("rate_deg_s", [None, 4.0])
+def test_the_acceleration_begins_with_a_share_of_the_greatest_that_frames_can_follow(rate_deg_s: float | None) -> None:
+    """The rate swings by half the greatest rate, 0.5°/s where none is known, within one interval at most."""
+    runner = Answers(acceleration_deg_s2=0.08)
+    highest = (0.5 if rate_deg_s is None else 0.5 * rate_deg_s) / SCENARIO.sequence.step_s
+    found = _greatest_acceleration(SCENARIO, runner, AMOUNTS, rate_deg_s)
+    assert runner.accelerations[0] == pytest.approx(FIRST_SHARE * highest, rel=1e-12)
+    assert found.estimate.value == pytest.approx(0.08, rel=1e-5)

@@ -1,5 +1,6 @@
 """A spinning body through the stages: pointing of a trial, states of a sequence, sampling over a turn, coverage."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from simulator.mission.motion import motion
 from simulator.mission.orbit import build_orbit
-from simulator.mission.pointing import mounting_of, point_spinning, round_s
+from simulator.mission.pointing import mounting_of, point, point_at_random, point_by, point_spinning, round_s
 from simulator.mission.spin import spin_attitude
 from simulator.renderer import render
 from simulator.scenario import Scenario
@@ -71,3 +72,31 @@ def test_nominal_rate_is_the_spin():
     plain = Scenario.load("oedipus")
     expected = point_spinning(plain.pointing, 0.0, np.random.default_rng(1)).rate_camera_rad_s
     np.testing.assert_allclose(nominal_rate_rad_s(plain), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["spin", "level", "random", "given"])
+def test_errors_of_the_pointing_are_symmetric(scenario, law):
+    """Uniform within ±2° about each axis and independent: the mean of 300 is within 4 × 2°/√3/√300 = 0.27° of zero, and
+    both signs are found on every axis."""
+    r_km, v_km_s = np.array([7178.0, 0.0, 0.0]), np.array([0.0, 7.45, 0.0])
+
+    class Still:
+        """An attitude law: the body at rest along the axes of the sky."""
+
+        span_s = (-math.inf, math.inf)
+
+        def quaternions(self, t_s):
+            return np.tile([0.0, 0.0, 0.0, 1.0], (len(t_s), 1))
+
+    drawn = {
+        "spin": lambda rng: point_spinning(scenario.pointing, 5.0, rng),
+        "level": lambda rng: point(scenario.pointing, r_km, v_km_s, rng),
+        "random": lambda rng: point_at_random(scenario.pointing, rng),
+        "given": lambda rng: point_by(scenario.pointing, Still(), 5.0, rng),
+    }[law]
+    found = [drawn(np.random.default_rng(seed)) for seed in range(300)]
+    body = mounting_of(scenario.pointing).inverse.as_matrix()
+    errors = np.degrees([body @ one.camera.rotation_vector_to(one.prior) for one in found])
+    assert np.abs(errors.mean(axis=0)).max() < 0.27
+    assert (errors.min(axis=0) < -1.0).all()
+    assert (errors.max(axis=0) > 1.0).all()
