@@ -180,6 +180,6 @@ def test_the_earth_is_in_the_field_when_only_its_air_is():
     ("distance_km", "drawn"), [(7000.0, True), (EARTH_DISK_KM - 1.0, True), (EARTH_DISK_KM, False)]
 )
 def test_the_earth_is_drawn_once(distance_km, drawn):
-    """As a disk with surface and limb up to `EARTH_DISK_KM`, and beyond as one of the bodies, which `has_disk` excludes."""
+    """As a disk with surface and limb up to `EARTH_DISK_KM`, and beyond as one of the bodies."""
     assert has_disk(Sky(earth=True), np.array([0.0, -distance_km, 0.0])) == drawn
     assert not has_disk(Sky(earth=False), np.array([0.0, -distance_km, 0.0]))

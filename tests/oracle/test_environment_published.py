@@ -289,7 +289,7 @@ def test_range_of_electrons_is_that_of_katz_and_penfold():
 
 def test_range_of_protons_is_the_integral_over_their_stopping_power():
     """R(E₂) − R(E₁) = ∫ dE/S in the continuous slowing down in which PSTAR tabulates both, between neighbouring points
-    of the table. Simpson's rule in ln E between points a factor of up to 2.5 apart is good to 2 %, below 1 MeV to 4 %."""
+    of the table. The power law between points a factor of up to 2.5 apart is good to 2 %, below 1 MeV to 4 %."""
     energy, stopping, path = matter._PROTONS[:, :3].T
     for k in range(len(energy) - 1):
         between = np.geomspace(energy[k], energy[k + 1], 41)
@@ -306,16 +306,16 @@ ESTAR_ALUMINIUM += [(3.0, 1.510), (4.0, 1.540), (5.0, 1.564), (7.0, 1.599), (10.
 
 @pytest.mark.parametrize(("energy", "stopping"), ESTAR_ALUMINIUM)
 def test_electrons_slow_down_as_in_estar(energy, stopping):
-    """0.35 %: the parameters of the density correction are a fit to that which ESTAR uses (Sternheimer, Berger & Seltzer
-    1984 state up to 0.5 % of the stopping power). Silicon differs from aluminium by Z/A, 3.46 %, by ln I², from 0.34 %
-    at 10 MeV to 0.7 % at 40 keV, and by its density correction, up to 0.3 %."""
+    """0.35 %: the parameters of the density correction are a fit to that which ESTAR uses (Sternheimer, Berger &
+    Seltzer 1984 state up to 0.5 % of the stopping power). Silicon differs from aluminium by Z/A, 3.46 %, by ln I²,
+    from 0.34 % at 10 MeV to 0.7 % at 40 keV, and by its density correction, up to 0.3 %."""
     assert matter.electron_stopping(energy, matter.ALUMINIUM) == pytest.approx(stopping, rel=0.0035)
     assert 1.025 < matter.electron_stopping(energy) / matter.electron_stopping(energy, matter.ALUMINIUM) < 1.04
 
 
 def test_tables_are_smooth():
-    """A misprint shows as a value off the curve through its neighbours: the non-ionising loss bends by less than 7 % from
-    the power law between the points beside it, weighed by their distance."""
+    """A misprint shows as a value off the curve through its neighbours: the non-ionising loss bends by less than 7 %
+    from the power law between the points beside it, weighed by their distance."""
     energy, loss = matter._PROTONS[:, 0], matter._PROTONS[:, 4]
     for k in range(1, len(energy) - 1):
         between = np.interp(np.log(energy[k]), np.log(energy[[k - 1, k + 1]]), np.log(loss[[k - 1, k + 1]]))

@@ -10,7 +10,8 @@ import math
 import numpy as np
 import pytest
 
-from simulator.study.datasheet.classes import CLASSES, Separated, separate
+from simulator.study.datasheet.accuracy import _sum_of_classes
+from simulator.study.datasheet.classes import CLASSES, Separated, _figures, separate
 from simulator.study.datasheet.scan import (
     PASSES,
     SAME_PIXELS,
@@ -20,6 +21,8 @@ from simulator.study.datasheet.scan import (
     scan_attitudes,
     scan_geometry,
 )
+from simulator.study.intervals import moment_intervals
+from simulator.study.statistics import CAMERA_AXES
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 
@@ -252,3 +255,40 @@ def test_a_scan_remains_in_a_small_field() -> None:
     small = scan_geometry(192, 80)
     assert small.length_px <= 0.4 * 80 + small.step_px
     assert small.frames < GEOMETRY.frames
+
+
+def test_an_unresolved_class_is_at_most_half_its_interval() -> None:
+    """Noise makes the mean of an unresolved power small or negative; its upper limit is then half the width of the
+    interval of the mean over the fields (here of the bootstrap, computed again), and the lower one is zero."""
+    found = separated(np.random.default_rng(RNG_SEED).normal(size=SHAPE))
+    for name in ("fov_spatial", "pixel_spatial"):
+        low, high = moment_intervals(found.field_powers[name])["mean"][0]
+        assert low < 0.0
+        figure = found.figures[name][0]
+        assert figure.high == pytest.approx(math.sqrt(max(high, 0.5 * (high - low))), rel=1e-12)
+        assert figure.low == 0.0
+    # an injected mean of exactly zero with the scatter of the noise: half the interval's width decides
+    shifted = found.field_powers["fov_spatial"] - found.field_powers["fov_spatial"].mean(axis=0) - 0.01
+    low, high = moment_intervals(shifted)["mean"][0]
+    assert high < 0.5 * (high - low)
+    assert _figures({"fov_spatial": shifted}, 0)["fov_spatial"][0].high == pytest.approx(
+        math.sqrt(0.5 * (high - low)), rel=1e-12
+    )
+
+
+def test_the_sum_of_the_classes_contains_the_bias() -> None:
+    """Bias 3, noise 1: the rms of all frames is √10, and so is the sum of the classes, to 2 % with 60,000 frames; the
+    ratio to the trials' rms has their relative half widths in quadrature."""
+    rng = np.random.default_rng(RNG_SEED)
+    found = separated(3.0 + rng.normal(size=(*SHAPE[:-1], 3)))
+    errors = rng.normal(3.0, 1.0, (2000, 3)) / 3600.0
+    columns = {f"error_{axis}_deg": errors[:, k] for k, axis in enumerate(CAMERA_AXES)}
+    columns["right"] = np.ones(len(errors), dtype=bool)
+    by_name = [(q.name, q.axis, q.estimate) for q in _sum_of_classes(found, columns, 0)]
+    sums = [estimate for name, _, estimate in by_name if name == "sum_of_classes"]
+    ratios = [estimate for name, _, estimate in by_name if name == "sum_over_measured"]
+    assert len(sums) == len(ratios) == len(CAMERA_AXES)
+    for total, ratio in zip(sums, ratios, strict=True):
+        assert total.value == pytest.approx(math.sqrt(10.0), rel=0.02)
+        assert ratio.low < 1.0 < ratio.high
+        assert ratio.value == pytest.approx(1.0, abs=0.05)
