@@ -292,3 +292,23 @@ def test_stars_alone():
     expected = [n for n in bright if near[n].sum() == 1]
     assert brightest_alone(x, y, flux, unfit, 18).tolist() == expected[:MODEL_STARS]
     assert 2 < len(expected) < len(bright)
+
+
+@pytest.mark.parametrize("method", FITS)
+def test_a_blend_is_recognised_among_well_modelled_stars(method):
+    """`Centroids.misfit` is the median excess of χ² in its standard errors: a standard normal number where the image is
+    right (here below 3.5 by fixed seeds), as the star image is given. One of 36 stars is a pair 1.6 px apart, which its
+    window's χ² cannot explain: its covariance is at least three times that of stars as bright."""
+    rng = np.random.default_rng(8)
+    stars = lattice(flux=2e4)
+    x, y, flux = stars[20]
+    pair = [(x - 0.8, y, 0.5 * flux), (x + 0.8, y, 0.5 * flux)]
+    ideal = draw((144, 144), [*stars[:20], *stars[21:], *pair], SIGMA)
+    image = (rng.poisson(ideal) + rng.normal(0.0, 5.0, ideal.shape)).astype(np.float32)
+    settings = CentroidSettings(psf_sigma_px=SIGMA)
+    found = METHODS[method](image, flat(image, 5.0), spots_of(stars), settings, 1.0)
+    assert abs(found.misfit) < 3.5
+    away = np.hypot(*(found.xy - (x, y)).T)
+    blend, others = away.argmin(), away > 10.0
+    trace = np.trace(found.covariance, axis1=1, axis2=2)
+    assert trace[blend] > 3.0 * np.median(trace[others])
