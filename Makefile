@@ -4,6 +4,8 @@
 # make test-lowest    smoke tests with the lowest versions of the dependencies that pyproject.toml allows
 # make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
+# make readme-results    the runs of README's table of results, and the table
+# make bench-mutation    the share of planted faults that the tests notice, area by area; writes benchmarks/RESULTS-mutation.md (hours)
 # make notebooks    executes the notebooks and stores their outputs
 # make dist   wheel and source archive in dist/, checked, installed in an environment of its own and tried outside of this folder
 # make docs    the documentation site, docs/_build/html/index.html
@@ -15,7 +17,7 @@ BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: run test test-system test-all test-lowest lint docs docs-outputs dist notebooks clean cluster-demo bench \
-        bench-identification bench-frames
+        bench-identification bench-frames readme-results bench-mutation
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
 
@@ -82,8 +84,14 @@ bench: $(VENV)/.installed-bench
 bench-identification: $(VENV)/.installed-peers
 	$(BIN)/python -m benchmarks.identification --peers --failures --out benchmarks/RESULTS-identification.md
 
+readme-results: $(VENV)/.installed
+	$(BIN)/python -m benchmarks.readme_results
+
 bench-frames: $(VENV)/.installed
 	$(BIN)/python -m benchmarks.frames --failures --out benchmarks/RESULTS-frames.md
+
+bench-mutation: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.mutation --out benchmarks/RESULTS-mutation.md
 
 $(VENV)/.installed-docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
