@@ -17,6 +17,7 @@ from simulator.paths import write_atomically
 from startracker._version import __version__
 from startracker.catalog.guide import field_of
 from startracker.errors import InputError
+from startracker.files import IMAGE_BYTES, read_bytes
 from startracker.geometry.attitude import Attitude, direction_to_radec
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
@@ -281,10 +282,7 @@ def _primary(path: Path) -> tuple[dict[str, Any], Any]:
 
     from astropy.io import fits
 
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    data = read_bytes(path, IMAGE_BYTES, "give a FITS file")
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")

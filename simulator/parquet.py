@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from startracker.errors import InputError
+from startracker.files import MESSAGE_BYTES, check_file
 
 
 def read_parquet(path: Path) -> dict[str, list[Any]]:
@@ -19,6 +20,7 @@ def read_parquet(path: Path) -> dict[str, list[Any]]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    check_file(path, MESSAGE_BYTES, "give a Parquet table")
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:

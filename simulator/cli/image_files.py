@@ -8,6 +8,7 @@ from pathlib import Path
 
 from simulator.paths import make_folder
 from startracker.errors import InputError
+from startracker.files import IMAGE_BYTES, check_file
 from startracker.images.reading import sample_photo
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
@@ -86,6 +87,7 @@ class OutputFiles:
 
 def is_our_frame(path: Path) -> bool:
     """Whether a FITS file has the camera that `simulator.fits.write_fits` writes."""
+    check_file(path, IMAGE_BYTES, "give an image")
     try:
         with path.open("rb") as stream:
             return b"CAM_FX  =" in stream.read(80 * 36 * 8)

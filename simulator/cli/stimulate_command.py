@@ -16,6 +16,7 @@ from simulator.cli.options import ScenarioFile, SetValues, option
 from simulator.cli.suggesting import SuggestingGroup
 from simulator.cli.terminal import open_console, print_table
 from startracker.errors import InputError
+from startracker.files import SETTINGS_BYTES, read_text
 
 if TYPE_CHECKING:
     from simulator.live.stimulator import DisplayPicture, Pattern, Photograph, Stimulator
@@ -235,13 +236,10 @@ def _pattern(path: Path) -> Pattern:
 
     from simulator.live.stimulator import Pattern
 
+    text = read_text(path, SETTINGS_BYTES, "copy it from the patterns, or give --pattern")
     try:
-        return Pattern(**YAML(typ="safe").load(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); copy it from the patterns, or give --pattern"
-        ) from error
-    except (YAMLError, UnicodeDecodeError, TypeError) as error:
+        return Pattern(**YAML(typ="safe").load(text))
+    except (YAMLError, TypeError) as error:
         raise InputError(f"{path}: is not a pattern file: {' '.join(str(error).split())}") from error
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from startracker.errors import InputError
+from startracker.files import MESSAGE_BYTES, read_text
 
 
 class Item(NamedTuple):
@@ -37,16 +38,6 @@ _BLOCKS = {
 _UNIT = re.compile(r"\s*\[[^\]]*\]\s*$")
 
 
-def read_text(path: Path, what: str) -> str:
-    """Text of a file; `InputError` if it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a file of {what}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text; give a file of {what}") from error
-
-
 def read_items(path: Path, kind: str) -> list[Item]:
     """Entries of a message of one kind (``OEM``, ``OMM``, ``AEM``), KVN or XML, without its comments.
 
@@ -55,7 +46,7 @@ def read_items(path: Path, kind: str) -> list[Item]:
     InputError
         With file and line, if the file is not such a message, or is damaged.
     """
-    text = read_text(path, f"a CCSDS {kind}")
+    text = read_text(path, MESSAGE_BYTES, f"give a file of a CCSDS {kind}")
     if text.lstrip().startswith("<"):
         return _XmlReader(path, kind).read(text)
     items = list(_kvn(path, text))

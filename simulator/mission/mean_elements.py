@@ -14,12 +14,13 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulator.mission.ccsds import Item, read_items, read_text
+from simulator.mission.ccsds import Item, read_items
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import teme, to_gcrs
 from simulator.mission.trajectory import refuse_outside
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
+from startracker.files import MESSAGE_BYTES, read_text
 
 SGP4_EPOCH = datetime(1949, 12, 31)
 _REVOLUTIONS_DAY_TO_RAD_MIN = 2.0 * math.pi / 1440.0
@@ -173,7 +174,7 @@ def _nearest(
 def _two_lines(path: Path) -> Iterator[MeanElements]:
     name, first = "", None
     position = f"{path}:1"
-    for number, raw in enumerate(read_text(path, "two-line elements").splitlines(), 1):
+    for number, raw in enumerate(read_text(path, MESSAGE_BYTES, "give a file of two-line elements").splitlines(), 1):
         line, position = raw.rstrip(), f"{path}:{number}"
         if not line.strip() or line.startswith("#"):
             continue

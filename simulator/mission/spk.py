@@ -16,6 +16,7 @@ from simulator.mission.tabulated import Segment, Table, TabulatedTrajectory
 from simulator.mission.trajectory import BARYCENTRE
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
+from startracker.files import KERNEL_BYTES, check_file
 
 NAIF = {
     0: BARYCENTRE,
@@ -109,6 +110,7 @@ def _segments(path: Path) -> list[Any]:
     from jplephem.daf import DAF
     from jplephem.spk import SPK
 
+    check_file(path, KERNEL_BYTES, "give an SPK kernel")
     try:
         with path.open("rb") as file:
             kernel = SPK(DAF(file))

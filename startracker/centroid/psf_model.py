@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
+from startracker.files import CURVE_BYTES, check_file
 from startracker.kernels import kernel
 
 _LEAST_OVERSAMPLING = 8
@@ -146,10 +147,7 @@ def load_psf(path: str | Path) -> PsfModel:
     InputError
         Not such a file.
     """
-    try:
-        changed = Path(path).stat().st_mtime_ns
-    except OSError as error:
-        raise InputError(f"centroid.psf: '{path}' cannot be read: {error.strerror}") from error
+    changed = check_file(path, CURVE_BYTES, "centroid.psf is a star image made by PsfModel.save").st_mtime_ns
     return _read_psf(str(path), changed)
 
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.arrays import FloatArray
 from startracker.display import described
 from startracker.errors import InputError
+from startracker.files import SETTINGS_BYTES, read_text
 from startracker.geometry.distortion import Distortion
 from startracker.geometry.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
 from startracker.geometry.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
@@ -153,11 +154,10 @@ class Camera:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
 
+        text = read_text(path, SETTINGS_BYTES, "give a camera file")
         try:
-            data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); give a camera file") from error
-        except (YAMLError, UnicodeDecodeError) as error:
+            data = YAML(typ="safe").load(text)
+        except YAMLError as error:
             raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
         return cls.from_dict(data, where=str(path))
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from startracker.display import described, html_card
 from startracker.errors import InputError
+from startracker.files import IMAGE_BYTES, read_bytes
 from startracker.images.bayer import bayer_to_grey
 from startracker.images.picture import photograph
 
@@ -134,14 +135,9 @@ def read_image(
 
 
 def _bytes_of(file: Path) -> bytes:
-    if file.is_dir():
+    if "\0" not in str(file) and file.is_dir():
         raise InputError(f"{file}: is a folder; give the image files inside it")
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror or error}); {_HINT}") from error
-    except ValueError as error:  # a NUL in the name
-        raise InputError(f"{str(file)!r}: is not a file name; {_HINT}") from error
+    return read_bytes(file, IMAGE_BYTES, _HINT)
 
 
 def _refuse_unreadable(file: Path, data: bytes) -> None:

@@ -24,6 +24,7 @@ from startracker.arrays import FloatArray
 from startracker.calibration.camera_file import rounded
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
+from startracker.files import SETTINGS_BYTES, read_text
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 
@@ -223,11 +224,10 @@ def read_stimulator(path: str | Path) -> Stimulator:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
+    text = read_text(path, SETTINGS_BYTES, "give a stimulator file")
     try:
-        data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a stimulator file") from error
-    except (YAMLError, UnicodeDecodeError) as error:
+        data = YAML(typ="safe").load(text)
+    except YAMLError as error:
         raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     try:
         return _stimulator_of(data, str(path))

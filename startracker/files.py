@@ -1,0 +1,88 @@
+"""Reading of files that users name: regular files up to a stated size; every error is one line."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from startracker.errors import InputError
+
+MEGABYTE = 1_000_000
+MESSAGE_BYTES = 200 * MEGABYTE
+"""Largest message or table over time: a million states of an orbit."""
+CURVE_BYTES = 10 * MEGABYTE
+"""Largest curve or spectrum: some 100,000 lines."""
+SETTINGS_BYTES = MEGABYTE
+"""Largest file of settings (camera, pattern, stimulator), as for a scenario."""
+LIST_BYTES = 50 * MEGABYTE
+"""Largest list of centroids: a million lines."""
+RESULT_BYTES = 200 * MEGABYTE
+"""Largest summary of a study."""
+IMAGE_BYTES = 2_000 * MEGABYTE
+"""Largest image file."""
+KERNEL_BYTES = 2_000 * MEGABYTE
+"""Largest kernel of SPICE."""
+
+
+def check_file(path: str | Path, most_bytes: int, hint: str) -> os.stat_result:
+    """State of a regular file of at most `most_bytes`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    most_bytes : int
+        Largest size.
+    hint : str
+        What to give instead, the end of the message.
+
+    Returns
+    -------
+    os.stat_result
+        The file's state.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is a device, a pipe or another thing that has no end of its own, or is larger.
+    """
+    try:
+        state = os.stat(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); {hint}") from error
+    except ValueError as error:  # a null character in the name
+        raise InputError(f"{str(path)!r}: is not a file name; {hint}") from error
+    if stat.S_ISDIR(state.st_mode):
+        raise InputError(f"{path}: cannot be read (is a folder); {hint}")
+    if not stat.S_ISREG(state.st_mode):
+        raise InputError(f"{path}: is not a regular file (a device or a pipe); {hint}")
+    if state.st_size > most_bytes:
+        raise InputError(_too_large(path, f"has {state.st_size / MEGABYTE:,.1f} MB", most_bytes, hint))
+    return state
+
+
+def read_bytes(path: str | Path, most_bytes: int, hint: str) -> bytes:
+    """Content of a regular file of at most `most_bytes`; parameters and errors as for `check_file`."""
+    check_file(path, most_bytes, hint)
+    try:
+        with open(path, "rb") as stream:
+            data = stream.read(most_bytes + 1)  # a file may grow, and those of /proc state no size
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); {hint}") from error
+    if len(data) > most_bytes:
+        raise InputError(_too_large(path, "is larger", most_bytes, hint))
+    return data
+
+
+def read_text(path: str | Path, most_bytes: int, hint: str) -> str:
+    """Text of a UTF-8 file, with or without a byte-order mark; parameters and errors as for `check_file`, and
+    `InputError` if the file is not text."""
+    try:
+        return read_bytes(path, most_bytes, hint).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text; {hint}") from error
+
+
+def _too_large(path: str | Path, what: str, most_bytes: int, hint: str) -> str:
+    return f"{path}: {what}, more than the {most_bytes / MEGABYTE:,.0f} MB that are read; {hint}"
