@@ -78,8 +78,13 @@ def read_bytes(path: str | Path, most_bytes: int, hint: str) -> bytes:
 def read_text(path: str | Path, most_bytes: int, hint: str) -> str:
     """Text of a UTF-8 file, with or without a byte-order mark; parameters and errors as for `check_file`, and
     `InputError` if the file is not text."""
+    return as_text(read_bytes(path, most_bytes, hint), path, hint)
+
+
+def as_text(data: bytes, path: str | Path, hint: str) -> str:
+    """Text of the content of a UTF-8 file, with or without a byte-order mark; `InputError` if it is not text."""
     try:
-        return read_bytes(path, most_bytes, hint).decode("utf-8-sig")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text; {hint}") from error
 

@@ -20,6 +20,11 @@ from startracker.files import KERNEL_BYTES, check_file
 
 NAIF = {
     0: BARYCENTRE,
+    1: "Mercury",
+    2: "Venus",
+    3: "Earth-Moon barycentre",
+    4: "Mars",
+    9: "Pluto barycentre",
     10: "Sun",
     199: "Mercury",
     299: "Venus",
@@ -31,7 +36,7 @@ NAIF = {
     7: "Uranus",
     8: "Neptune",
 }
-"""Centres by NAIF number."""
+"""Centres by NAIF number; of two numbers of one centre, that of the body itself comes last."""
 _FRAMES = {1: "icrf", 17: "ecliptic"}
 """Frames by NAIF number: J2000, which SPICE identifies with the ICRF, and ECLIPJ2000."""
 _POSITIONS, _STATES = 2, 3
