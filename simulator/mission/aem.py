@@ -223,7 +223,7 @@ def _angular_velocity(written: WrittenSegment, degrees: FloatArray, rates: Float
         about = np.zeros_like(rates)
         about[:, "XYZ".index(axes[k])] = rates[:, k]
         total += following.inv().apply(about)
-        following = Rotation.from_euler(axes[k], degrees[:, k], degrees=True) * following
+        following = Rotation.from_euler(axes[k], degrees[:, k : k + 1], degrees=True) * following
     return total
 
 
