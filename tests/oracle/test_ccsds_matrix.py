@@ -79,7 +79,8 @@ def xml_of(text, kind):
             row = "".join(f'<{key} units="{units[len(key)]}">{value}</{key}>' for key, value in cells)
             out.append(f"<stateVector><EPOCH>{at}</EPOCH>{row}</stateVector>")
     body = "\n".join([*out, "</data></segment></body>"])
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n<{kind} id="CCSDS_{kind.upper()}_VERS" version="{version}">{body}</{kind}>'
+    root = f'<{kind} id="CCSDS_{kind.upper()}_VERS" version="{version}">'
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{root}{body}</{kind}>'
 
 
 # ---------------------------------------------------------------- OEM
@@ -133,8 +134,8 @@ def test_oem_of_every_version_and_form(version, form, written, tmp_path):
 @pytest.mark.parametrize("scale", ["UTC", "TAI", "TT", "TDT", "TDB", "GPS", "UT1", "TCG", "TCB"])
 @pytest.mark.parametrize("form", ["kvn", "xml"])
 def test_oem_of_every_time_system(scale, form, tmp_path):
-    """Astropy's TDB and TCB are those of the geocentre within 2 µs of Earth's rotation; its UT1 (IERS bulletins A and B)
-    and Skyfield's table agree within 1 ms. At 5 km/s and 1 m/s²."""
+    """Astropy's TDB and TCB are those of the geocentre within 2 µs of Earth's rotation; its UT1 (IERS bulletins A and
+    B) and Skyfield's table agree within 1 ms. At 5 km/s and 1 m/s²."""
     slack_s = {"UT1": 1e-3, "TDB": 3e-6, "TCB": 3e-6}.get(scale, 1e-7)
     path = oem(tmp_path, scale=scale, form=form, written="day of year" if form == "xml" else "calendar")
     assert_states(path, 1e-7 + slack_s * 7.0, 1e-9 + slack_s * 1e-3)
@@ -188,7 +189,8 @@ MAS = 4.85e-9
 
 @pytest.mark.parametrize("name", FRAMES)
 def test_oem_of_every_frame(name, tmp_path):
-    """1 mas of 35,000 km, 0.2 m; velocities of the rotating frame by central differences of 1 s, n³ h²/6 = 1e-8 km/s."""
+    """1 mas of 35,000 km, 0.2 m; velocities of the rotating frame by central differences of 1 s, n³ h²/6 = 1e-8
+    km/s."""
 
     def there(t_s):
         return (rotation_to(FRAMES[name], t_s) @ ELLIPSE.state(t_s)[0][..., None])[..., 0]
@@ -247,8 +249,8 @@ def test_a_span_or_a_degree_beyond_the_states_is_a_warning(form, tmp_path):
     with pytest.raises(InputError, match=r"2024-03-21T12:07:00.010 is outside"):
         trajectory.state(420.01)
     for method, degree, used in (("HERMITE", 25, 15), ("LAGRANGE", 9, 7)):
+        path = oem(tmp_path, form=form, INTERPOLATION=method, INTERPOLATION_DEGREE=degree)
         with pytest.warns(InputWarning, match=rf"{method} of degree {degree} needs \d+ states, .* 8: degree {used} is"):
-            path = oem(tmp_path, form=form, INTERPOLATION=method, INTERPOLATION_DEGREE=degree)
             trajectory = read_oem(path, CLOCK, None)
         # the remainder of degree 7, (n h)^8 a/8!/…, is below that of nine decimals
         assert np.abs(trajectory.state(T_S[:-1] + 30.0)[0] - ELLIPSE.state(T_S[:-1] + 30.0)[0]).max() < 1e-6
