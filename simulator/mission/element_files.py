@@ -76,7 +76,7 @@ def _nearest(
     path: Path, sets: list[MeanElements], clock: Clock, wanted: str | int | None, max_age_days: float
 ) -> MeanElementsOrbit:
     """The wanted object's set with the epoch closest to the clock's."""
-    chosen = [e for e in sets if wanted is None or _is_called(e, str(wanted).strip())]
+    chosen = [e for e in sets if wanted is None or is_called(e, wanted)]
     objects = {(e.number, e.name) for e in sets}
     if not chosen or len({e.number for e in chosen}) > 1:
         known = ", ".join(f"{number} {name}".strip() for number, name in sorted(objects)[:12])
@@ -86,11 +86,14 @@ def _nearest(
     return min(orbits, key=lambda orbit: abs(sum(orbit.span_s)))
 
 
-def _is_called(elements: MeanElements, wanted: str) -> bool:
+def is_called(elements: MeanElements, wanted: str | int) -> bool:
+    """Whether elements are of the object with a name, a catalogue number (also as a letter and four digits) or an
+    international designator."""
     from sgp4.alpha5 import from_alpha5
 
-    number = str(from_alpha5(wanted.upper())) if re.fullmatch("[A-HJ-NP-Za-hj-np-z][0-9]{4}", wanted) else wanted
-    return number == elements.number or wanted.lower() in (elements.name.lower(), elements.designator.lower())
+    text = str(wanted).strip()
+    number = str(from_alpha5(text.upper())) if re.fullmatch("[A-HJ-NP-Za-hj-np-z][0-9]{4}", text) else text
+    return number == elements.number or text.lower() in (elements.name.lower(), elements.designator.lower())
 
 
 # ---------------------------------------------------------------- two-line elements
@@ -101,6 +104,8 @@ class _Line(NamedTuple):
     text: str
 
 
+_WITHOUT_DIGIT = 68
+"""Characters of a line of elements before its check digit."""
 _BEGINS = re.compile(r"[12] [0-9A-Z ][0-9 ]{3}[0-9]")
 """Line of elements by its number and that of its object."""
 
@@ -110,7 +115,7 @@ def _is_element_line(text: str) -> bool:
 
 
 def _two_lines(path: Path) -> Iterator[MeanElements]:
-    name, first, found = "", None, 0
+    name, first, found, short = "", None, 0, ""
     text = read_text(path, MESSAGE_BYTES, "give a file of two-line elements")
     line = _Line(f"{path}:1", "")
     for number, raw in enumerate(text.splitlines(), 1):
@@ -119,6 +124,7 @@ def _two_lines(path: Path) -> Iterator[MeanElements]:
         line = _Line(f"{path}:{number}", raw.strip())
         if first is not None:
             yield _of_lines(name, first, line)
+            short = short or next((part.position for part in (first, line) if len(part.text) == _WITHOUT_DIGIT), "")
             name, first, found = "", None, found + 1
         elif not _is_element_line(line.text):
             # the end of a bulletin (/EX) is not the name of the set that follows
@@ -127,6 +133,8 @@ def _two_lines(path: Path) -> Iterator[MeanElements]:
             first = line
         else:
             raise InputError(f"{line.position}: line 2 of a set without its line 1; the file is damaged")
+    if short:
+        warn_of(f"{short}: the line has no check digit; is the file complete?")
     if first is not None:
         raise InputError(f"{line.position}: the set of elements ends after line 1; the file is truncated")
     if line.text and not found:
@@ -169,14 +177,12 @@ def _checked(line: _Line, begins: str) -> str:
     from sgp4.io import compute_checksum
 
     position, text = line
-    if not text.startswith(begins) or len(text) < 68 or not text.isascii():
+    if not text.startswith(begins) or len(text) < _WITHOUT_DIGIT or not text.isascii():
         raise InputError(f"{position}: is not line {begins.strip()} of two-line elements, 69 characters")
     digit = str(compute_checksum(text))
-    if len(text) == 68:
-        warn_of(f"{position}: the line has no check digit; is it complete?")
-    elif text[68] != digit:
+    if len(text) > _WITHOUT_DIGIT and text[68] != digit:
         raise InputError(f"{position}: check digit {text[68]}, but the line adds up to {digit}")
-    return text[:68] + digit
+    return text[:_WITHOUT_DIGIT] + digit
 
 
 def _designator(launch: str) -> str:
@@ -214,8 +220,8 @@ _EXPECTED = {
 }
 _REFUSED = {
     "REF_FRAME_EPOCH": "the axes of SGP4, TEME, are those of date",
-    "SEMI_MAJOR_AXIS": "SGP4 needs MEAN_MOTION in its place",
-    "BTERM": "SGP4 needs BSTAR in its place; BTERM belongs to SGP4-XP",
+    "SEMI_MAJOR_AXIS": "SGP4 needs MEAN_MOTION instead",
+    "BTERM": "SGP4 needs BSTAR instead; BTERM belongs to SGP4-XP",
     "AGOM": "SGP4 has no radiation pressure; AGOM belongs to SGP4-XP",
 }
 

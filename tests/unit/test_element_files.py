@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 from sgp4.api import WGS72, Satrec
 
+from simulator.checks import load_scenario
 from simulator.mission.clock import Clock
 from simulator.mission.element_files import read_elements, read_omm, read_tle
 from simulator.mission.mean_elements import epoch_s
 from simulator.mission.messages import Header, aem_text, oem_text
 from simulator.mission.oem import read_oem
+from simulator.study.sequence.messages import sequence_messages
 from startracker.errors import InputError, InputWarning
 
 EPOCH = datetime(2024, 3, 27, 12, tzinfo=UTC)
+HEADER = Header("scenario", "2024-03-27T00:00:00", "", "1998-067A")
 CLOCK = Clock(EPOCH)
 LINE_1 = "1 25544U 98067A   24087.50000000  .00016717  00000-0  30571-3 0  9997"
 LINE_2 = "2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49309432440163"
@@ -96,7 +99,7 @@ def test_two_line_elements_as_bulletins_have_them(text, name, tmp_path):
 
 def test_sets_without_check_digits_and_numbers_with_letters(tmp_path):
     path = written(tmp_path, f"{LINE_1[:68]}\n{LINE_2[:68]}\n")
-    with pytest.warns(InputWarning, match=r"craft.tle:\d: the line has no check digit; is it complete\?"):
+    with pytest.warns(InputWarning, match=r"craft.tle:\d: the line has no check digit; is the file complete\?"):
         found = states(path)
     np.testing.assert_array_equal(found, states(written(tmp_path, SET, "plain.tle")))
     letters = "\n".join(checked(line.replace("25544", "B0012")) for line in (LINE_1, LINE_2))
@@ -238,3 +241,21 @@ def test_messages_of_an_orbit_carry_the_identifier_of_its_elements(tmp_path):
     assert read_tle(written(tmp_path, "\n".join(lines)), CLOCK, None, 30.0).object_id == ""
     without = oem_text(orbit, np.array([0.0, 60.0]), Header("scenario", "2024-03-27T00:00:00"))
     assert "\nOBJECT_ID = scenario\n" in without
+
+
+@pytest.mark.parametrize("key", ["tle", "omm", "oem"])
+def test_messages_of_a_sequence_carry_it_too(key, tmp_path):
+    """OEM, AEM and ACM of ``run --sequence --ccsds``, with the scenario's name; `ccsds-ndm-py` reads them."""
+    orbit = read_tle(written(tmp_path, SET), CLOCK, None, 30.0)
+    text = {"tle": SET, "omm": OMM, "oem": oem_text(orbit, T_S[:3], HEADER)}
+    written(tmp_path, text[key], f"craft.{key}")
+    scenario = f"base: orbit\nname: mine\nepoch: {EPOCH:%Y-%m-%dT%H:%M:%SZ}\norbit: {{{key}: craft.{key}}}\n"
+    file = written(tmp_path, scenario, "s.yaml")
+    columns = {"t_s": np.array([0.0, 60.0])}
+    columns |= {f"{p}q{a}": np.full(2, float(a == "w")) for p in ("true_", "") for a in "xyzw"}
+    columns |= {f"sigma_{axis}_deg": np.full(2, 1e-4) for axis in ("cross_x", "cross_y", "about_boresight")}
+    files = sequence_messages(load_scenario(file), columns, "2024-03-27T00:00:00")
+    for name in ("trajectory.oem", "true.aem", "estimated.aem"):
+        assert "\nOBJECT_NAME = mine\nOBJECT_ID = 1998-067A\n" in files[name]
+    acm = ccsds_ndm.from_file(str(written(tmp_path, files["estimated.acm"], "e.acm")))
+    assert acm.segment.metadata.international_designator == "1998-067A"
