@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from startracker.errors import InputError
 
@@ -67,11 +68,16 @@ def read_bytes(path: str | Path, most_bytes: int, hint: str) -> bytes:
     check_file(path, most_bytes, hint)
     try:
         with open(path, "rb") as stream:
-            data = stream.read(most_bytes + 1)  # a file may grow, and those of /proc state no size
+            return read_stream(stream, most_bytes, str(path), hint)  # a file may grow, and those of /proc state no size
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); {hint}") from error
+
+
+def read_stream(stream: BinaryIO, most_bytes: int, name: str, hint: str) -> bytes:
+    """Content of a stream of at most `most_bytes`; `InputError`, which begins with `name`, for more."""
+    data = stream.read(most_bytes + 1)
     if len(data) > most_bytes:
-        raise InputError(_too_large(path, "is larger", most_bytes, hint))
+        raise InputError(_too_large(name, "is larger", most_bytes, hint))
     return data
 
 
@@ -87,6 +93,21 @@ def as_text(data: bytes, path: str | Path, hint: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text; {hint}") from error
+
+
+def read_yaml(path: str | Path, hint: str) -> Any:
+    """Plain values of a YAML file of settings; errors as for `check_file`, and `InputError` for what is not YAML or is
+    nested too deeply."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    data = read_bytes(path, SETTINGS_BYTES, hint)
+    try:
+        return YAML(typ="safe").load(data.decode("utf-8-sig"))
+    except (YAMLError, ValueError) as error:  # ValueError: not text, or a date such as 2026-02-30
+        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: is nested too deeply; {hint}") from error
 
 
 def _too_large(path: str | Path, what: str, most_bytes: int, hint: str) -> str:

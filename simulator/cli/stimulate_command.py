@@ -16,7 +16,7 @@ from simulator.cli.options import ScenarioFile, SetValues, option
 from simulator.cli.suggesting import SuggestingGroup
 from simulator.cli.terminal import open_console, print_table
 from startracker.errors import InputError
-from startracker.files import SETTINGS_BYTES, read_text
+from startracker.files import read_yaml
 
 if TYPE_CHECKING:
     from simulator.live.stimulator import DisplayPicture, Pattern, Photograph, Stimulator
@@ -231,15 +231,12 @@ def _print_limits(display: Stimulator, renderer: Renderer) -> None:
 
 def _pattern(path: Path) -> Pattern:
     """Pattern of a file that ``stimulate pattern`` wrote."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     from simulator.live.stimulator import Pattern
 
-    text = read_text(path, SETTINGS_BYTES, "copy it from the patterns, or give --pattern")
+    data = read_yaml(path, "copy it from the patterns, or give --pattern")
     try:
-        return Pattern(**YAML(typ="safe").load(text))
-    except (YAMLError, TypeError) as error:
+        return Pattern(**data)
+    except TypeError as error:
         raise InputError(f"{path}: is not a pattern file: {' '.join(str(error).split())}") from error
 
 

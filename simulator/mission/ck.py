@@ -100,6 +100,8 @@ def read_ck(path: Path, sclk: Path, clock: Clock, wanted: str | int | None, moun
         to a frame that SPICE does not know.
     """
     for file, what in ((path, "a CK kernel"), (sclk, "a kernel of the spacecraft's clock (SCLK)")):
+        if not file.exists():
+            raise InputError(f"{file}: no such file; give {what}")
         check_file(file, KERNEL_BYTES, f"give {what}")
     kernels = (str(path), str(sclk))
     with _loaded(kernels) as spice:

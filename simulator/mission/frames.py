@@ -48,8 +48,8 @@ def to_frame(frame: str, clock: Clock, t_s: float | FloatArray) -> FloatArray:
         ``icrf``; ``equator_of_date``: true equator and equinox; ``ecliptic``: mean ecliptic and equinox of J2000;
         ``eme2000``: mean equator and equinox of J2000, 23 mas from ICRF (IAU 2006 frame bias); ``mean_of_date``: mean
         equator and equinox of date (IAU 2006, ERFA's ``pmat06``); ``teme``: SGP4's;
-        ``itrf``: ITRS by IAU 2006/2000A (ERFA's ``c2t06a``), UT1 from Skyfield's table, without polar motion (0.6″,
-        19 m at the surface).
+        ``itrf``: ITRS, from the true equator of date by Greenwich apparent sidereal time (IAU 2006/2000A, ERFA's
+        ``gst06``), UT1 from Skyfield's table, without polar motion (0.6″, 19 m at the surface).
     clock, t_s
         The instants.
     """
@@ -74,8 +74,9 @@ def _mean_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
 
 def _earth_fixed(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     time = timescale().tt_jd(*clock.tt_jd(t_s))
-    tt1, tt2 = clock.tt_jd(t_s)
-    return np.asarray(erfa.ufunc.c2t06a(tt1, tt2, time.whole, time.ut1_fraction, 0.0, 0.0))
+    of_date = true_of_date(clock, t_s)
+    gast = erfa.ufunc.gst06(time.whole, time.ut1_fraction, *clock.tt_jd(t_s), of_date)
+    return np.asarray(erfa.ufunc.rz(gast, of_date))
 
 
 def to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -280,7 +280,7 @@ def test_mistakes_with_ck(kernels, tmp_path, monkeypatch):
         law_of(ck=str(path), sclk=str(sclk), object=-5)
     with pytest.raises(InputError, match=r"needs pointing.attitude.sclk"):
         law_of(ck=str(path))
-    with pytest.raises(InputError, match=r"none.tsc: cannot be read \(No such file"):
+    with pytest.raises(InputError, match=r"none.tsc: no such file"):
         law_of(ck=str(path), sclk=str(tmp_path / "none.tsc"))
     with pytest.raises(InputError, match=r"craft.tsc: cannot be used .* must be a binary CK file"):
         law_of(ck=str(sclk), sclk=str(sclk))

@@ -81,7 +81,7 @@ def test_devices_pipes_folders_and_huge_files_are_refused(name, tmp_path):
         (pipe, r"pipe.csv: is not a regular file .*; \S"),
         (huge, r"huge.csv: has 20,000.0 MB, more than the [\d,]+ MB that are read; \S"),
         (folder, r"folder.csv: .*folder.*; \S"),
-        (tmp_path / "none.csv", r"none.csv: cannot be read \(No such file or directory\); \S"),
+        (tmp_path / "none.csv", r"none.csv: (cannot be read \(No such file or directory\)|no such file); \S"),
     ):
         with pytest.raises(InputError, match=message) as error:
             read(path)
@@ -99,3 +99,22 @@ def test_a_file_that_grows_or_states_no_size_is_read_up_to_the_limit(tmp_path):
     with pytest.raises(InputError, match=r"is not a file name; give less"):
         read_bytes("a\0b", 10, "give less")
     assert np.frombuffer(read_bytes(tmp_path / "ten", 11, "x"), np.uint8).sum() == 0
+
+
+@pytest.mark.parametrize("name", ["camera", "stimulator", "pattern"])
+@pytest.mark.parametrize("text", ["[" * 10_000, "a: [", "a: 2026-02-30", "a: b: c", "\0"])
+def test_settings_that_are_not_yaml_are_one_line(name, text, tmp_path):
+    (tmp_path / "x.yaml").write_text(text)
+    with pytest.raises(InputError, match=r"x.yaml: (is not YAML|is nested too deeply|is not a pattern file)") as error:
+        READERS[name](tmp_path / "x.yaml")
+    assert "\n" not in str(error.value)
+
+
+def test_an_endless_image_on_standard_input(tmp_path, monkeypatch):
+    from simulator.cli import image_files
+
+    monkeypatch.setattr(image_files, "IMAGE_BYTES", 1_000_000)
+    with open("/dev/zero", encoding="utf-8") as endless:
+        monkeypatch.setattr("sys.stdin", endless)
+        with pytest.raises(InputError, match=r"-: standard input: is larger, more than the 1 MB that are read; send"):
+            image_files.spooled([Path("-")], tmp_path)

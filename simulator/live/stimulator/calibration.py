@@ -24,7 +24,7 @@ from startracker.arrays import FloatArray
 from startracker.calibration.camera_file import rounded
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
-from startracker.files import SETTINGS_BYTES, read_text
+from startracker.files import read_yaml
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 
@@ -221,14 +221,7 @@ def read_stimulator(path: str | Path) -> Stimulator:
     InputError
         For a file that cannot be read, with its fault in one line.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    text = read_text(path, SETTINGS_BYTES, "give a stimulator file")
-    try:
-        data = YAML(typ="safe").load(text)
-    except YAMLError as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    data = read_yaml(path, "give a stimulator file")
     try:
         return _stimulator_of(data, str(path))
     except KeyError as error:
