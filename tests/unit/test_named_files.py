@@ -5,10 +5,13 @@ line that says what to give.
 """
 
 import os
+import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from simulator.cli.centroid_list import read_centroids
@@ -102,7 +105,7 @@ def test_a_file_that_grows_or_states_no_size_is_read_up_to_the_limit(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["camera", "stimulator", "pattern"])
-@pytest.mark.parametrize("text", ["[" * 10_000, "a: [", "a: 2026-02-30", "a: b: c", "\0"])
+@pytest.mark.parametrize("text", ["[" * 2_000, "a: [", "a: 2026-02-30", "a: b: c", "\0"])
 def test_settings_that_are_not_yaml_are_one_line(name, text, tmp_path):
     (tmp_path / "x.yaml").write_text(text)
     with pytest.raises(InputError, match=r"x.yaml: (is not YAML|is nested too deeply|is not a pattern file)") as error:
@@ -118,3 +121,17 @@ def test_an_endless_image_on_standard_input(tmp_path, monkeypatch):
         monkeypatch.setattr("sys.stdin", endless)
         with pytest.raises(InputError, match=r"-: standard input: is larger, more than the 1 MB that are read; send"):
             image_files.spooled([Path("-")], tmp_path)
+
+
+def test_small_files_that_expand_without_end(tmp_path):
+    """Three million rows of a constant are some kB of Parquet, 150 million zeros some 100 kB of a NumPy archive."""
+    table, archive = tmp_path / "jitter.parquet", tmp_path / "psf.npz"
+    pq.write_table(pa.table({"t_s": np.zeros(3_000_000)}), table)
+    assert table.stat().st_size < 1_000_000
+    with pytest.raises(InputError, match=r"jitter.parquet: has 3,000,000 rows, more than the 2,000,000 that are read"):
+        READERS["jitter.series"](table)
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as stream:
+        stream.writestr("table.npy", bytes(150_000_000))
+    assert archive.stat().st_size < 1_000_000
+    with pytest.raises(InputError, match=r"psf.npz' is not a star image .*150,000,000 bytes"):
+        READERS["centroid.psf"](archive)
