@@ -24,9 +24,11 @@ from skyfield.sgp4lib import TEME
 from simulator.mission.aem import read_aem
 from simulator.mission.attitude_table import TabulatedAttitude
 from simulator.mission.clock import Clock
+from simulator.mission.messages import Header, oem_text
 from simulator.mission.oem import read_oem
 from simulator.mission.parameters import KeplerianElements, OrbitParameters
 from simulator.mission.trajectories import build_trajectory
+from simulator.mission.trajectory import CENTRES as TRAJECTORY_CENTRES
 from simulator.mission.trajectory import geocentric
 from startracker.ephemeris import de421_file, timescale
 from startracker.errors import InputError, InputWarning
@@ -40,6 +42,18 @@ ELLIPSE = build_trajectory(
 )
 STATES = np.concatenate(ELLIPSE.state(T_S), axis=1)
 """Geocentric states (N, 6), axes of the ICRF."""
+
+
+class GivenOrbit:
+    """The same states relative to another centre."""
+
+    clock = CLOCK
+
+    def __init__(self, centre):
+        self.centre = centre
+
+    def state(self, t_s):
+        return ELLIPSE.state(t_s)
 
 
 def epochs(t_s, scale="UTC", form="calendar"):
@@ -163,6 +177,20 @@ def test_oem_of_every_centre(name, tmp_path):
     finally:
         spiceypy.unload(str(de421_file()))
     assert_states(oem(tmp_path, STATES + away, CENTER_NAME=name), 2e-3, 1e-8)
+
+
+@pytest.mark.parametrize("centre", TRAJECTORY_CENTRES)
+def test_our_own_oem_of_every_centre_is_read_again(centre, tmp_path):
+    """CENTER_NAME as written is a name of the centre: an outer planet's is that of its barycentre."""
+    trajectory = GivenOrbit(centre)
+    path = tmp_path / "own.oem"
+    path.write_text(oem_text(trajectory, T_S, Header("craft", "2024-03-21T00:00:00")))
+    again = read_oem(path, CLOCK, None)
+    assert again.centre == centre
+    np.testing.assert_allclose(again.state(T_S)[0], STATES[:, :3], rtol=0, atol=1e-7)
+    name = re.search("CENTER_NAME = (.*)", path.read_text())[1]
+    barycentres = {"Earth-Moon barycentre": 3, "Solar system barycentre": 0, "Pluto barycentre": 9}
+    assert CENTRES[name] == (barycentres[centre] if centre in barycentres else CENTRES[centre.upper()])
 
 
 def rotation_to(frame, t_s):
