@@ -16,13 +16,17 @@ FRAMES = {
     "MOD": "mean_of_date",
     "TOD": "equator_of_date",
     "TEME": "teme",
+    "TEMEOFDATE": "teme",
     "ITRF": "itrf",
     "TDR": "itrf",
     "GTOD": "itrf",
+    "TIRS": "itrf",
 }
 """Reference frames that can be read, with our names (`simulator.mission.frames.to_frame`). The Earth-fixed true equator
-of date (TDR, GTOD) is ITRF without polar motion, which is neglected."""
-_REALISATION = re.compile(r"(ICRF|ITRF)[-_ ]?\d{1,4}")
+of date (TDR, GTOD) and TIRS are ITRF without polar motion, which is neglected."""
+OF_EPOCH = {"MOE": "mean_of_date", "TOE": "equator_of_date", "TEMEOFEPOCH": "teme"}
+"""Frames of which the message states the date, REF_FRAME_EPOCH."""
+_REALISATION = re.compile(r"(ICRF|GCRF|ITRF)[-_ ]?\d{1,4}")
 """Realisations, such as ``ITRF2014``, ``ITRF-97`` and ``ICRF3``."""
 
 _BARYCENTRES = {
@@ -57,16 +61,25 @@ def centre_name(centre: str) -> str:
 
 
 def named_frame(name: str) -> str:
-    """Our name of a reference frame; empty if it cannot be read."""
+    """Our name of a reference frame; empty if it cannot be read, or is of a date that the message must state."""
     found = name.upper().strip()
     if match := _REALISATION.fullmatch(found):
         found = match[1]
     return FRAMES.get(found.removesuffix("_EARTH"), "")
 
 
-def frame_of(item: Item) -> str:
-    """Our name of the value of REF_FRAME; `InputError` for a frame that cannot be read."""
-    frame = named_frame(item.value)
+def frame_of(item: Item, *, has_epoch: bool) -> str:
+    """Our name of the value of REF_FRAME.
+
+    Raises
+    ------
+    InputError
+        For a frame that cannot be read, or is of a date and the message `has_epoch` not.
+    """
+    of_epoch = OF_EPOCH.get(item.value.upper().strip().removesuffix("_EARTH"), "")
+    if of_epoch and not has_epoch:
+        raise InputError(f"{item.position}: frame {item.value} needs REF_FRAME_EPOCH, the date of its axes")
+    frame = of_epoch or named_frame(item.value)
     if not frame:
         raise InputError(f"{item.position}: frame {item.value} is not supported; use {', '.join(FRAMES)}")
     return frame

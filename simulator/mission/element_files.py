@@ -215,7 +215,7 @@ _FIELDS = (
 _EXPECTED = {
     "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4"),
     "CENTER_NAME": ("EARTH",),
-    "REF_FRAME": ("TEME",),
+    "REF_FRAME": ("TEME", "TEMEOFDATE"),
     "TIME_SYSTEM": ("UTC",),
 }
 _REFUSED = {

@@ -60,7 +60,7 @@ def _segment(written: WrittenSegment, clock: Clock) -> Segment:
     """Segment with times in seconds after the epoch."""
     t_s, (first_s, last_s) = segment_times(written, clock, _REQUIRED)
     method, nodes = _interpolation(written, len(t_s))
-    frame = frame_of(written.keys["REF_FRAME"])
+    frame = frame_of(written.keys["REF_FRAME"], has_epoch="REF_FRAME_EPOCH" in written.keys)
     table = StateTable(t_s, np.array(written.rows), method, nodes)
     centre = centre_of(written.keys["CENTER_NAME"])
     return Segment(first_s, last_s, centre, frame, table, _frame_epoch_s(written, clock, frame))

@@ -210,7 +210,7 @@ def rotation_to(frame, t_s):
 FRAMES = {
     "ICRF": "ICRF", "ICRF3": "ICRF", "GCRF": "ICRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME",
     "TOD": "TOD", "TOD_EARTH": "TOD", "MOD": "MOD", "MOD_EARTH": "MOD", "ITRF": "ITRF", "ITRF2000": "ITRF",
-    "ITRF-97": "ITRF", "ITRF2014": "ITRF", "TDR": "TDR", "GTOD": "TDR",
+    "ITRF-97": "ITRF", "ITRF2014": "ITRF", "TDR": "TDR", "GTOD": "TDR", "TIRS": "TDR", "TEMEOFDATE": "TEME",
 }  # fmt: skip
 MAS = 4.85e-9
 
@@ -230,8 +230,8 @@ def test_oem_of_every_frame(name, tmp_path):
     assert_states(path, MAS * 4e4, 2e-7)
 
 
-@pytest.mark.parametrize("name", ["TEME", "TOD", "MOD"])
-def test_axes_of_a_stated_date(name, tmp_path):
+@pytest.mark.parametrize(("name", "of_epoch"), [("TEME", "TEMEOFEPOCH"), ("TOD", "TOE_EARTH"), ("MOD", "MOE")])
+def test_axes_of_a_stated_date(name, of_epoch, tmp_path):
     """REF_FRAME_EPOCH: the axes of that date, a month earlier (4″ of precession, 0.7 km here), at all states."""
     fixed = rotation_to(name, np.array([-30.0 * 86_400.0]))[0]
     rows = np.hstack([STATES[:, :3] @ fixed.T, STATES[:, 3:] @ fixed.T])
@@ -239,6 +239,10 @@ def test_axes_of_a_stated_date(name, tmp_path):
     assert_states(path, MAS * 4e4, 2e-7)
     off = np.abs(read_oem(oem(tmp_path, rows, REF_FRAME=name), CLOCK, None).state(T_S)[0] - STATES[:, :3]).max()
     assert off > 0.1
+    path = oem(tmp_path, rows, REF_FRAME=of_epoch, REF_FRAME_EPOCH="2024-051T12:00:00")
+    assert_states(path, MAS * 4e4, 2e-7)
+    with pytest.raises(InputError, match=rf"frame {of_epoch} needs REF_FRAME_EPOCH, the date of its axes"):
+        read_oem(oem(tmp_path, rows, REF_FRAME=of_epoch), CLOCK, None)
     with pytest.raises(InputError, match=r"REF_FRAME_EPOCH is for axes of date; ITRF rotates"):
         read_oem(oem(tmp_path, REF_FRAME="ITRF", REF_FRAME_EPOCH="2024-02-20T12:00:00"), CLOCK, None)
     assert_states(oem(tmp_path, REF_FRAME="ICRF", REF_FRAME_EPOCH="2024-02-20T12:00:00"), 1e-7)

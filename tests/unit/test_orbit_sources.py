@@ -11,6 +11,7 @@ import pytest
 from simulator import Scenario
 from simulator.build import build_orbit
 from simulator.checks import NAME_CHECKS, load_scenario
+from simulator.cli import _run
 from simulator.mission.clock import Clock
 from simulator.mission.parameters import ForceModel, KeplerianElements, OrbitParameters, StateVector
 from simulator.mission.sampling import trial_time_s
@@ -313,6 +314,15 @@ def test_files_are_found_beside_the_scenario(tmp_path):
     with pytest.raises(InputError, match=r"s.yaml:2:\d+: orbit.oem: .*craft.oem:17: a line has an epoch and 6"):
         load_scenario(scenario)
     assert "orbit.oem" in NAME_CHECKS
+
+
+def test_a_warning_of_a_file_is_printed_once_a_command(tmp_path, capsys):
+    """The check of a scenario reads the file, and its frame again."""
+    (tmp_path / "craft.oem").write_text(oem(lambda lines: lines[:-1]))
+    (tmp_path / "s.yaml").write_text("base: cubesat_ideal\norbit: {oem: craft.oem}\nstudy: {sampling: span}\n")
+    assert _run(["render", str(tmp_path / "s.yaml"), "--out", str(tmp_path / "frame.fits")]) == 0
+    printed = capsys.readouterr().err.splitlines()
+    assert [line.partition("craft.oem:16: ")[2][:26] for line in printed] == ["the states do not reach ST"]
 
 
 def test_sampling_says_what_does_not_apply():
