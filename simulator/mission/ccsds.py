@@ -155,6 +155,8 @@ class _XmlReader:
         except expat.ExpatError as error:
             reason = expat.ErrorString(error.code)
             raise InputError(f"{self._path}:{error.lineno}: damaged or truncated XML ({reason})") from error
+        except (LookupError, ValueError) as error:
+            raise InputError(f"{self._path}:1: XML in an encoding that cannot be read ({error}); use UTF-8") from error
         if self._kind not in self._found:
             other = f"; this is a CCSDS {', '.join(sorted(self._found))}" if self._found else ""
             raise InputError(f"{self._path}:1: no CCSDS {self._kind}; it has no element <{self._kind.lower()}>{other}")
@@ -184,7 +186,7 @@ class _XmlReader:
     def _ends(self, _: str) -> None:
         inside = self._inside()
         element = self._open.pop()
-        text, self._text = self._text.strip(), ""
+        text, self._text = " ".join(self._text.split()), ""
         if not inside:
             return
         if element.is_block:

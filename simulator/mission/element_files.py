@@ -143,7 +143,7 @@ def _two_lines(path: Path) -> Iterator[MeanElements]:
 
 def _of_lines(name: str, first: _Line, second: _Line) -> MeanElements:
     """Elements of two lines; python-sgp4 reads their columns."""
-    from sgp4.api import WGS72, Satrec
+    from sgp4.api import SGP4_ERRORS, WGS72, Satrec
 
     line1, line2 = _checked(first, "1 "), _checked(second, "2 ")
     if (kind := line1[62]) not in "02 ":
@@ -155,7 +155,7 @@ def _of_lines(name: str, first: _Line, second: _Line) -> MeanElements:
     except ValueError as error:
         raise InputError(f"{second.position}: {str(error).splitlines()[0]}") from None
     if found.error not in (0, 6):
-        raise InputError(f"{second.position}: {found.error_message or 'impossible elements'}")
+        raise InputError(f"{second.position}: {SGP4_ERRORS.get(found.error, 'impossible elements')}")
     return MeanElements(
         name,
         str(found.satnum),

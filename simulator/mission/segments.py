@@ -79,6 +79,7 @@ def read_segments(path: Path, kind: str, layout_of: Callable[[WrittenSegment], L
             if item.key == "+META":
                 found.append(WrittenSegment(item.position))
             elif item.key == "-STATE":
+                _refuse_without_metadata(found, item)
                 _add_state(found[-1], layout_of(found[-1]), state, item)
                 state = []
             inside = name if mark == "+" else "DATA" if inside in ("STATE", "COVARIANCE") else ""
@@ -87,14 +88,18 @@ def read_segments(path: Path, kind: str, layout_of: Callable[[WrittenSegment], L
         elif inside == "STATE" and mark not in ("+", "-"):
             state.append(item)
         elif inside != "COVARIANCE" and not item.key:
-            if not found:
-                raise InputError(f"{item.position}: data before META_START")
+            _refuse_without_metadata(found, item)
             _add_line(found[-1], layout_of(found[-1]), item)
     if inside in ("META", "COVARIANCE"):
         raise InputError(f"{items[-1].position}: the file ends before {inside}_STOP; it is truncated")
     if not found:
         raise InputError(f"{path}: has no segment (META_START)")
     return found
+
+
+def _refuse_without_metadata(found: Sequence[WrittenSegment], item: Item) -> None:
+    if not found:
+        raise InputError(f"{item.position}: data before META_START")
 
 
 def _add_line(segment: WrittenSegment, layout: Layout, item: Item) -> None:

@@ -330,6 +330,23 @@ def test_messages_of_other_kinds_and_units(tmp_path):
     assert_states(path, 1e-7)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('encoding="UTF-8"', 'encoding="UTX-8"', r"own.oem:1: XML in an encoding that cannot be read .*; use UTF-8"),
+        ("<TIME_SYSTEM>UTC", "<TIME_SYSTEM>U\nTC", r"time scale 'U TC' cannot be read"),
+        ("metadata>", "metadatum>", r"own.oem:\d+: data before META_START"),
+        ("<Z_DOT", "<W_DOT", r"own.oem:\d+: damaged or truncated XML \(mismatched tag\)"),
+    ],
+)
+def test_damaged_xml_is_one_line(old, new, message, tmp_path):
+    path = tmp_path / "own.oem"
+    path.write_text(oem(tmp_path, form="xml").read_text().replace(old, new))
+    with pytest.raises(InputError, match=message) as error:
+        read_oem(path, CLOCK, None)
+    assert "\n" not in str(error.value)
+
+
 # ---------------------------------------------------------------- AEM
 SEQUENCES = ["".join(s) for s in itertools.product("XYZ", repeat=3) if s[0] != s[1] != s[2]]
 

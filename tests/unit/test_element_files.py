@@ -133,6 +133,10 @@ def test_sets_without_check_digits_and_numbers_with_letters(tmp_path):
         (f"{LINE_1[:67]}\n{LINE_2}\n", r"tle:1: is not line 1 of two-line elements, 69 characters"),
         (SET.replace("9997", "9996"), r"tle:1: check digit 6, but the line adds up to 7"),
         ("a bulletin\nwithout elements\n", r"tle:2: is not a line of two-line elements"),
+        (
+            f"{LINE_1}\n" + checked(LINE_2[:52] + "00.00000000" + LINE_2[63:]) + "\n",
+            r"tle:2: mean motion is less than zero",
+        ),
     ],
 )
 def test_two_line_elements_that_cannot_be_read(text, message, tmp_path):
