@@ -135,7 +135,7 @@ def test_sets_without_check_digits_and_numbers_with_letters(tmp_path):
         ("a bulletin\nwithout elements\n", r"tle:2: is not a line of two-line elements"),
         (
             f"{LINE_1}\n" + checked(LINE_2[:52] + "00.00000000" + LINE_2[63:]) + "\n",
-            r"tle:2: mean motion is less than zero",
+            r"tle:2: .* is less than zero",
         ),
     ],
 )
