@@ -17,9 +17,11 @@ from simulator.paths import write_atomically
 from startracker._version import __version__
 from startracker.catalog.guide import field_of
 from startracker.errors import InputError
+from startracker.files import IMAGE_BYTES, read_bytes
 from startracker.geometry.attitude import Attitude, direction_to_radec
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
+from startracker.images.reading import row_order_of
 from startracker.observer import Observer, aberrate
 from startracker.wcs import wcs_header
 
@@ -45,12 +47,13 @@ def write_fits(
 ) -> None:
     """Write a frame, atomically.
 
-    The header of the primary image (BUNIT adu) has the UTC of the exposure's beginning, middle and end (DATE-BEG,
-    DATE-AVG and DATE-OBS, DATE-END; MJD-…), EXPTIME, the camera (CAM_FX … and the scenario's optics and detector keys
-    under HIERARCH; for programs that estimate the field of view, FOCALLEN, APTDIA, XPIXSZ and YPIXSZ of SBFITSEXT), the
-    observer, the prior attitude and, if the truth is given, a TAN(-SIP) world coordinate system at mid-exposure
-    (`startracker.wcs`), whose form is in WCSNAME: with `wcs` ``astrometric``, catalogue positions (ICRS, without
-    aberration); with ``apparent``, directions as the observer sees them, with aberration (ICRS axes).
+    The first row is the top of the image, the camera's −y (ROWORDER), and the world coordinates are those of the pixels
+    as they are stored. The header of the primary image (BUNIT adu) has the UTC of the exposure's beginning, middle and
+    end (DATE-BEG, DATE-AVG and DATE-OBS, DATE-END; MJD-…), EXPTIME, the camera (CAM_FX … and the scenario's optics and
+    detector keys under HIERARCH; for programs that estimate the field of view, FOCALLEN, APTDIA, XPIXSZ and YPIXSZ of
+    SBFITSEXT), the observer, the prior attitude and, if the truth is given, a TAN(-SIP) world coordinate system at
+    mid-exposure (`startracker.wcs`), whose form is in WCSNAME: with `wcs` ``astrometric``, catalogue positions (ICRS,
+    without aberration); with ``apparent``, directions as the observer sees them, with aberration (ICRS axes).
 
     The extension TRUTH is a table of the sources, with attitude and rate in its header. `x` and `y` are the positions
     for the true attitude at mid-exposure (of the middle row of a rolling shutter); `x_image` and `y_image` are the
@@ -97,6 +100,7 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
     camera, observer = frame.camera, frame.observer
     cards: list[tuple[str, Any, str]] = [
         ("BUNIT", "adu", "digital numbers"),
+        ("ROWORDER", "TOP-DOWN", "the first row is the top of the image"),
         ("TIMESYS", "UTC", ""),
         *_dates(frame.utc, frame.exposure_s),
         ("EXPTIME", frame.exposure_s, "[s] exposure"),
@@ -230,6 +234,7 @@ def read_fits(path: str | Path) -> Frame:
     velocity, position = (cards.vector(key, "XYZ") if f"{key}X" in header else None for key in ("OBS_V", "OBS_P"))
     prior = cards.vector("PRI_Q", "XYZW") if "PRI_QX" in header else None
     height, width = image.shape
+    top_down = row_order_of(header) == "TOP-DOWN"
     try:
         camera = Camera(
             cards.number("CAM_FX"),
@@ -245,7 +250,7 @@ def read_fits(path: str | Path) -> Frame:
         )
         field_of(camera)  # rejects a distortion that cannot be inverted
         return Frame(
-            image=np.asarray(image).astype(image.dtype.newbyteorder("=")),
+            image=np.asarray(image).astype(image.dtype.newbyteorder("="))[:: 1 if top_down else -1],
             camera=camera,
             observer=Observer(cards.number("JEPOCH", *_EPOCHS), velocity, position),
             utc=cards.text("DATE-OBS"),
@@ -281,10 +286,7 @@ def _primary(path: Path) -> tuple[dict[str, Any], Any]:
 
     from astropy.io import fits
 
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    data = read_bytes(path, IMAGE_BYTES, "give a FITS file")
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")

@@ -6,6 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from startracker.errors import InputError
+from startracker.files import MESSAGE_BYTES, check_file
+
+MOST_ROWS = 2_000_000
+"""Most rows of a table: compressed, far more fit into a small file."""
 
 
 def read_parquet(path: Path) -> dict[str, list[Any]]:
@@ -14,12 +18,18 @@ def read_parquet(path: Path) -> dict[str, list[Any]]:
     Raises
     ------
     InputError
-        If the file cannot be read, or is no Parquet table.
+        If the file cannot be read, is no Parquet table, or has more than `MOST_ROWS` rows.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    check_file(path, MESSAGE_BYTES, "give a Parquet table")
     try:
+        rows = pq.read_metadata(path).num_rows
+        if rows > MOST_ROWS:
+            raise InputError(
+                f"{path}: has {rows:,} rows, more than the {MOST_ROWS:,} that are read; give a shorter table"
+            )
         table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:
         reason = getattr(error, "strerror", None)

@@ -33,6 +33,9 @@ DE421_NAME = {
 }
 """Name of each body in the ephemeris. Jupiter to Neptune: the barycentre with the moons, within 0.1″ of the planet."""
 
+DE421_BARYCENTRES = {"Earth-Moon barycentre": "earth barycenter", "Pluto barycentre": "pluto barycenter"}
+"""Points of the ephemeris that are not bodies, with their names in it."""
+
 DE421_SPAN_JD = (2_414_864.5, 2_471_184.5)
 """First and last Julian date of the ephemeris."""
 
@@ -77,7 +80,7 @@ def timescale() -> Any:
 
 
 def barycentric(body: str, time: Any) -> Any:
-    """Skyfield's ``Barycentric`` position of a body of `DE421_NAME`.
+    """Skyfield's ``Barycentric`` position of a body of `DE421_NAME`, or of a point of `DE421_BARYCENTRES`.
 
     Raises
     ------
@@ -87,7 +90,7 @@ def barycentric(body: str, time: Any) -> Any:
     from skyfield.errors import EphemerisRangeError
 
     try:
-        return de421()[DE421_NAME[body]].at(time)
+        return de421()[(DE421_NAME | DE421_BARYCENTRES)[body]].at(time)
     except EphemerisRangeError:
         farthest = max(np.atleast_1d(time.tdb), key=lambda jd: abs(jd - J2000_JD_TT))
         raise InputError(outside_ephemeris(farthest)) from None

@@ -13,7 +13,7 @@ class InputError(BoresightError, ValueError):
 
 
 class InputWarning(UserWarning):
-    """An input that has no effect; the message says where and why."""
+    """An input that has no effect, or is used in part; the message says where and why."""
 
 
 class FrameMismatchError(BoresightError, ValueError):

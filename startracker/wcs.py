@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -40,6 +41,7 @@ _WORST_PX = 0.05
 _ORDERS = (3, 5, 7, 9, 11, 13)
 _STANDARD_ORDER = 9
 """Highest order of SIP; astropy reads higher ones, which are only used if 1″ needs them."""
+_SIP_TERM = re.compile(r"(A|B|AP|BP)_\d+_(\d+)")
 _CODES = {"pinhole": "TAN", "fisheye": "ARC", "equidistant": "ARC", "equisolid": "ZEA"}
 
 
@@ -48,6 +50,7 @@ def wcs_header(
     attitude: Attitude,
     velocity_km_s: ArrayLike | None = None,
     form: Literal["astrometric", "apparent"] = "astrometric",
+    row_order: Literal["TOP-DOWN", "BOTTOM-UP"] = "TOP-DOWN",
 ) -> dict[str, Any]:
     """FITS header cards of the world coordinate system of an image.
 
@@ -64,6 +67,9 @@ def wcs_header(
     form : {"astrometric", "apparent"}
         What the header gives if the velocity is known: ``astrometric`` catalogue positions, without aberration, or
         ``apparent`` directions as the observer sees them, with it.
+    row_order : {"TOP-DOWN", "BOTTOM-UP"}
+        Rows of the image that has the header: as the camera counts them, or in reverse, as a FITS file has them whose
+        first row is the bottom of the picture.
 
     Returns
     -------
@@ -124,7 +130,19 @@ def wcs_header(
         cards, error_px = sip
         error_deg = math.degrees(error_px * camera.pixel_rad)
         header |= {"CSYER1": error_deg, "CSYER2": error_deg, **cards}
-    return header
+    return _bottom_up(header, camera.height) if row_order == "BOTTOM-UP" else header
+
+
+def _bottom_up(header: dict[str, Any], height: int) -> dict[str, Any]:
+    """The same world coordinates for reversed rows: v becomes −v, and with it the sign of A's terms that are odd in v
+    and of B's that are even."""
+    turned = header | {"CRPIX2": height + 1.0 - header["CRPIX2"]}
+    turned |= {key: -header[key] for key in ("CD1_2", "CD2_2")}
+    for key, value in header.items():
+        if match := _SIP_TERM.fullmatch(key):
+            odd = int(match[2]) % 2 == 1
+            turned[key] = -value if odd == (match[1] in ("A", "AP")) else value
+    return turned
 
 
 def _catalogued(apparent: Attitude, velocity_km_s: FloatArray) -> tuple[Attitude, float]:

@@ -148,9 +148,13 @@ def _warnings_in_one_line() -> Iterator[None]:
     """What has no effect in a user's input, one line each on standard error."""
     with warnings.catch_warnings():
         others = warnings.showwarning
+        printed: set[str] = set()  # a scenario's files are read by its check and again by its run
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             if issubclass(category, InputWarning):
+                if str(message) in printed:
+                    return
+                printed.add(str(message))
                 print(f"warning: {message}", file=sys.stderr)
             else:
                 others(message, category, *where, **more)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.errors import InputError
+from startracker.files import LIST_BYTES, read_text
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -42,14 +43,8 @@ def read_centroids(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]
     InputError
         For a file that cannot be read or a line that is not numbers; names the line.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError:
-        raise InputError(
-            f"{path}: is not a text file; --centroids needs a CSV with columns x, y and optionally flux"
-        ) from None
+    wanted = "--centroids needs a CSV with columns x, y and optionally flux"
+    lines = read_text(path, LIST_BYTES, wanted).splitlines()
     names = ["x", "y", "flux"]
     rows: list[list[float]] = []
     first = True

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from simulator.paths import make_folder
 from startracker.errors import InputError
+from startracker.files import IMAGE_BYTES, check_file, read_stream
 from startracker.images.reading import sample_photo
 
 FITS_SUFFIXES = (".fits", ".fit", ".fts")
@@ -40,7 +41,7 @@ def spooled(paths: Sequence[Path], folder: Path) -> list[Path]:
         return paths
     if sys.stdin.isatty():
         raise InputError("-: standard input is a terminal; send an image to it, for example: boresight solve - < a.jpg")
-    data = sys.stdin.buffer.read()
+    data = read_stream(sys.stdin.buffer, IMAGE_BYTES, "-: standard input", "send an image to it")
     file = folder / ("standard-input.fits" if data.startswith(b"SIMPLE  =") else "standard-input")
     file.write_bytes(data)
     return [file if path == Path("-") else path for path in paths]
@@ -86,6 +87,7 @@ class OutputFiles:
 
 def is_our_frame(path: Path) -> bool:
     """Whether a FITS file has the camera that `simulator.fits.write_fits` writes."""
+    check_file(path, IMAGE_BYTES, "give an image")
     try:
         with path.open("rb") as stream:
             return b"CAM_FX  =" in stream.read(80 * 36 * 8)

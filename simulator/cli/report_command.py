@@ -9,6 +9,7 @@ from typing import Any
 from simulator.checks import load_scenario
 from simulator.paths import write_atomically
 from startracker.errors import InputError
+from startracker.files import RESULT_BYTES, read_text
 
 
 def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
@@ -54,10 +55,9 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
 
 
 def _read_json(path: Path, keys: set[str]) -> dict[str, Any]:
+    text = read_text(path, RESULT_BYTES, "give the folder of a study")
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+        found = json.loads(text)
     except ValueError as error:
         raise InputError(f"{path}: not JSON ({error})") from error
     if not isinstance(found, dict) or (lost := keys - set(found)):

@@ -25,7 +25,7 @@ from startracker.blind import solve_unknown_fov
 from startracker.detection import mask_pixels
 from startracker.errors import BoresightError, InputError
 from startracker.geometry.camera import Camera
-from startracker.images.reading import read_image
+from startracker.images.reading import RowOrder, read_image
 from startracker.observer import Observer
 from startracker.solution import Solution, Status
 from startracker.trace import Step
@@ -54,6 +54,8 @@ class _Job:
     """Of a colour photograph, for its picture."""
     observer: Observer | None = None
     """That of the frame, or one on the Earth at the time given."""
+    row_order: RowOrder = "TOP-DOWN"
+    """Of the file."""
 
     def pixels(self) -> NDArray[Any]:
         """The image; black where a list of centroids was solved."""
@@ -100,7 +102,7 @@ def _solve(source: Path, solver: _Solver, files: _Files) -> bool:
         print(f"{job.name}: {as_text(solution, points, job.observer, explain=request.explain)}")
     wcs, picture = files.wcs.path(source), files.annotate.path(source)
     if wcs is not None:
-        write_wcs(wcs, solution, job.pixels(), job.observer)
+        write_wcs(wcs, solution, job.pixels(), job.observer, job.row_order)
     if picture is not None:
         options = {
             "catalog": request.catalog,
@@ -163,7 +165,7 @@ class _Solver:
     def __init__(self, request: SolveRequest) -> None:
         self.request = request
         self.camera = Camera.from_yaml(request.camera) if request.camera else None
-        self.bad_pixels = read_image(request.bad_pixels).image != 0.0 if request.bad_pixels else None
+        self.bad_pixels = read_image(request.bad_pixels) if request.bad_pixels else None
         self.trackers: dict[Camera, StarTracker] = {}
         self.observer = _observer_at(request.time) if request.time else None
 
@@ -174,7 +176,7 @@ class _Solver:
             frame = read_fits(path)
             height, width = frame.image.shape
             camera = self.camera or self._from_fov(width, height) or frame.camera
-            frame = replace(frame, image=self._without_bad_pixels(frame.image))
+            frame = replace(frame, image=self._without_bad_pixels(frame.image, "TOP-DOWN"))
             return _Job(
                 shown_name(path),
                 width,
@@ -195,7 +197,8 @@ class _Solver:
                 f"{path}: has {width}×{height} pixels, but the camera file {self.request.camera} is for "
                 f"{self.camera.width}×{self.camera.height}"
             )
-        image = self._without_bad_pixels(loaded.image)
+        is_fits = "NAXIS" in loaded.header
+        image = self._without_bad_pixels(loaded.image, loaded.row_order if is_fits else None)
         return _Job(
             shown_name(path),
             width,
@@ -206,18 +209,27 @@ class _Solver:
             notes=loaded.notes,
             colours=loaded.colours,
             observer=self.observer,
+            row_order=loaded.row_order,
         )
 
-    def _without_bad_pixels(self, image: NDArray[Any]) -> NDArray[Any]:
-        """NaN where the map of --bad-pixels is not zero."""
+    def _without_bad_pixels(self, image: NDArray[Any], row_order: RowOrder | None) -> NDArray[Any]:
+        """NaN where the map of --bad-pixels is not zero.
+
+        `row_order` is that of the image's file if that is FITS. A map in FITS that does not state its own order belongs
+        to the stored pixels of such an image.
+        """
         if self.bad_pixels is None:
             return image
-        if self.bad_pixels.shape != image.shape:
-            has, needs = ("×".join(map(str, shape[::-1])) for shape in (self.bad_pixels.shape, image.shape))
+        bad = self.bad_pixels.image != 0.0
+        silent = self.bad_pixels.row_order == "BOTTOM-UP" and "ROWORDER" not in self.bad_pixels.header
+        if silent and row_order == "TOP-DOWN":
+            bad = bad[::-1]
+        if bad.shape != image.shape:
+            has, needs = ("×".join(map(str, shape[::-1])) for shape in (bad.shape, image.shape))
             raise InputError(
                 f"{self.request.bad_pixels}: has {has} pixels, the image {needs}: --bad-pixels needs its map"
             )
-        return mask_pixels(image, self.bad_pixels)
+        return mask_pixels(image, bad)
 
     def _from_fov(self, width: int, height: int) -> Camera | None:
         return Camera.from_fov(self.request.fov_deg, width, height) if self.request.fov_deg else None

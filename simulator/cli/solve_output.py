@@ -13,6 +13,7 @@ from simulator.cli.checks import picture_format
 from simulator.paths import write_atomically
 from startracker import explain as explaining
 from startracker.arrays import FloatArray
+from startracker.images.reading import RowOrder
 from startracker.observer import Observer
 from startracker.solution import Solution
 from startracker.wcs import wcs_header
@@ -97,8 +98,13 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def write_wcs(path: Path, solution: Solution, image: NDArray[Any], observer: Observer | None) -> None:
+def write_wcs(
+    path: Path, solution: Solution, image: NDArray[Any], observer: Observer | None, row_order: RowOrder
+) -> None:
     """The image with its world coordinates as FITS: what it holds can be laid over a chart as it is.
+
+    The rows have the order of the file that was solved, stated by ROWORDER, so that the header is also that of the
+    pixels of a FITS file.
 
     Nothing is written where the field is not solved. `InputError` where the lens has no WCS.
     """
@@ -106,9 +112,10 @@ def write_wcs(path: Path, solution: Solution, image: NDArray[Any], observer: Obs
         return
     from astropy.io import fits
 
-    unit = fits.PrimaryHDU(image)
+    unit = fits.PrimaryHDU(image if row_order == "TOP-DOWN" else image[::-1])
     velocity = None if observer is None else observer.velocity_km_s
-    unit.header.update(wcs_header(solution.camera, solution.attitude, velocity))
+    unit.header["ROWORDER"] = (row_order, "whether the first row is the top of the picture")
+    unit.header.update(wcs_header(solution.camera, solution.attitude, velocity, row_order=row_order))
     buffer = io.BytesIO()
     unit.writeto(buffer)
     write_atomically(path, buffer.getvalue())

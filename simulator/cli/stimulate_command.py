@@ -16,6 +16,7 @@ from simulator.cli.options import ScenarioFile, SetValues, option
 from simulator.cli.suggesting import SuggestingGroup
 from simulator.cli.terminal import open_console, print_table
 from startracker.errors import InputError
+from startracker.files import read_yaml
 
 if TYPE_CHECKING:
     from simulator.live.stimulator import DisplayPicture, Pattern, Photograph, Stimulator
@@ -230,18 +231,12 @@ def _print_limits(display: Stimulator, renderer: Renderer) -> None:
 
 def _pattern(path: Path) -> Pattern:
     """Pattern of a file that ``stimulate pattern`` wrote."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     from simulator.live.stimulator import Pattern
 
+    data = read_yaml(path, "copy it from the patterns, or give --pattern")
     try:
-        return Pattern(**YAML(typ="safe").load(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); copy it from the patterns, or give --pattern"
-        ) from error
-    except (YAMLError, UnicodeDecodeError, TypeError) as error:
+        return Pattern(**data)
+    except TypeError as error:
         raise InputError(f"{path}: is not a pattern file: {' '.join(str(error).split())}") from error
 
 

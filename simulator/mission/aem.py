@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from simulator.mission.attitude_table import AttitudeSegment, continuous, interpolated
 from simulator.mission.ccsds import Item
+from simulator.mission.ccsds_names import FRAMES, named_frame
 from simulator.mission.clock import Clock
-from simulator.mission.oem import FRAMES
 from simulator.mission.segments import (
     Layout,
     WrittenSegment,
@@ -24,6 +24,7 @@ from simulator.mission.segments import (
     read_segments,
     segment_times,
 )
+from simulator.mission.spinning import SpinningStates, spinning
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
 
@@ -41,24 +42,23 @@ _COMPONENTS = ("Q1", "Q2", "Q3", "QC")
 _DERIVATIVES = tuple(f"{name}_DOT" for name in _COMPONENTS)
 _ANGULAR = ("ANGVEL_X", "ANGVEL_Y", "ANGVEL_Z")
 _ANGLES = ("ANGLE_1", "ANGLE_2", "ANGLE_3")
+_ANGLE_RATES = tuple(f"{name}_DOT" for name in _ANGLES)
+_SPIN = ("SPIN_ALPHA", "SPIN_DELTA", "SPIN_ANGLE", "SPIN_ANGLE_VEL")
 _TYPES: dict[str, tuple[tuple[str, ...], int]] = {
     "QUATERNION": (_COMPONENTS, 4),
     "QUATERNION/DERIVATIVE": (_COMPONENTS + _DERIVATIVES, 8),
     "QUATERNION/ANGVEL": (_COMPONENTS + _ANGULAR, 7),
     "QUATERNION/RATE": (_COMPONENTS, 7),
     "EULER_ANGLE": (_ANGLES, 3),
-    "EULER_ANGLE/DERIVATIVE": (_ANGLES, 6),
-    "EULER_ANGLE/ANGVEL": (_ANGLES, 6),
+    "EULER_ANGLE/DERIVATIVE": (_ANGLES + _ANGLE_RATES, 6),
+    "EULER_ANGLE/ANGVEL": (_ANGLES + _ANGULAR, 6),
     "EULER_ANGLE/RATE": (_ANGLES, 6),
+    "SPIN": (_SPIN, 4),
+    "SPIN/NUTATION": ((*_SPIN, "NUTATION", "NUTATION_PER", "NUTATION_PHASE"), 7),
+    "SPIN/NUTATION_MOM": ((*_SPIN, "MOMENTUM_ALPHA", "MOMENTUM_DELTA", "NUTATION_VEL"), 7),
 }
-"""Numbers that are used of each type, and those of a line: rates of the first version, and those beside Euler angles,
-are not used."""
-_FIRST = {
-    4: ("QC", *_COMPONENTS[:3]),
-    7: ("QC", *_COMPONENTS[:3], *_ANGULAR),
-    8: ("QC", *_COMPONENTS[:3], "QC_DOT", *_DERIVATIVES[:3]),
-}
-"""Columns with the scalar first, by their number."""
+"""Numbers that are used of each type, and those of a line: rates of the first version (RATE), whose definition that
+version leaves open, are not used."""
 _AXES = {"1": "X", "2": "Y", "3": "Z", "X": "X", "Y": "Y", "Z": "Z"}
 _GIVES: dict[str, Literal["body", "camera"]] = {
     "SC_BODY": "body",
@@ -83,9 +83,10 @@ def read_aem(path: Path, clock: Clock, wanted: str | None) -> AemSegments:
     """Segments of an attitude ephemeris message.
 
     Segments are interpolated by themselves, by the method and degree that they name, and only within their usable span:
-    LINEAR and LAGRANGE through the components of the quaternions, HERMITE through components and derivatives
-    (QUATERNION/DERIVATIVE, QUATERNION/ANGVEL), the result normalised; SLERP, also where none is named, by rotation at a
-    constant rate. Euler angles are converted to quaternions first.
+    LINEAR and LAGRANGE through the components of the quaternions, HERMITE through components and derivatives (of the
+    types DERIVATIVE and ANGVEL), the result normalised; SLERP, also where none is named, by rotation at a constant
+    rate. Euler angles are converted to quaternions first. Attitudes of the types SPIN move between their states by
+    their own rates (`simulator.mission.spinning`), whatever the method.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def read_aem(path: Path, clock: Clock, wanted: str | None) -> AemSegments:
     ------
     InputError
         With file and line: a damaged or truncated file, frames, a type, time scale or interpolation that are not
-        supported, quaternions that are none, or no such object.
+        supported, quaternions whose length is not 1, or no such object.
     """
     written = of_object(path, read_segments(path, "AEM", _layout), wanted, "pointing.attitude.object")
     frames = {_other_frame(segment).value.upper(): _other_frame(segment) for segment in written}
@@ -114,12 +115,12 @@ def read_aem(path: Path, clock: Clock, wanted: str | None) -> AemSegments:
 
 def _layout(written: WrittenSegment) -> Layout:
     given = written.item("ATTITUDE_TYPE")
-    columns, count = _TYPES.get(given.value.upper(), ((), 0))
+    columns, count = _TYPES.get(given.value.upper().replace(" ", "_"), ((), 0))
     if not columns:
         known = ", ".join(_TYPES)
         raise InputError(f"{given.position}: attitude type {given.value} is not supported; use {known}")
     if columns[0] == "Q1" and _scalar_first(written):
-        columns = _FIRST[len(columns)]
+        columns = tuple(name for start in (0, 4) for name in _rotated(columns[start : start + 4]))
     return Layout(columns, (count,))
 
 
@@ -133,30 +134,35 @@ def _scalar_first(written: WrittenSegment) -> bool:
     return item.value.upper() == "FIRST"
 
 
-def _inertial(name: str) -> str:
-    return FRAMES.get(name.upper(), "itrf" if name.upper().startswith("ITRF") else "")
+def _rotated(columns: tuple[str, ...]) -> tuple[str, ...]:
+    """Components with the scalar first; others as they are."""
+    return (columns[3], *columns[:3]) if columns[3:] and columns[3].startswith("QC") else columns
 
 
 def _other_frame(written: WrittenSegment) -> Item:
     """Entry of the frame that is not inertial."""
     a, b = written.item("REF_FRAME_A"), written.item("REF_FRAME_B")
-    if bool(_inertial(a.value)) == bool(_inertial(b.value)):
+    if bool(named_frame(a.value)) == bool(named_frame(b.value)):
         known = ", ".join(FRAMES)
         raise InputError(f"{a.position}: attitudes from {a.value} to {b.value}; one of the two must be of {known}")
-    return b if _inertial(a.value) else a
+    return b if named_frame(a.value) else a
 
 
 def _segment(written: WrittenSegment, clock: Clock) -> AttitudeSegment:
     """Segment from the inertial frame to the other, with times in seconds after the epoch."""
     t_s, (first_s, last_s) = segment_times(written, clock, _REQUIRED)
     positions = [item.position for item in written.epochs]
-    quaternions, derivatives = _quaternions(written)
-    forward = _inertial(written.value("REF_FRAME_A")) != ""
+    forward = named_frame(written.value("REF_FRAME_A")) != ""
     if "ATTITUDE_DIR" in written.keys:
         direction = written.keys["ATTITUDE_DIR"]
         if direction.value.upper() not in ("A2B", "B2A"):
             raise InputError(f"{direction.position}: ATTITUDE_DIR is A2B or B2A, not {direction.value}")
         forward = forward == (direction.value.upper() == "A2B")
+    frame = named_frame(written.value("REF_FRAME_A")) or named_frame(written.value("REF_FRAME_B"))
+    columns = dict(zip(_layout(written).columns, np.array(written.rows).T, strict=True))
+    if "SPIN_ALPHA" in columns:
+        return AttitudeSegment(first_s, last_s, frame, _spinning(t_s, columns, positions, forward=forward))
+    quaternions, derivatives = _quaternions(written, columns)
     if not forward:
         conjugate = np.array([-1.0, -1.0, -1.0, 1.0])
         quaternions = quaternions * conjugate
@@ -165,45 +171,81 @@ def _segment(written: WrittenSegment, clock: Clock) -> AttitudeSegment:
     if derivatives is not None:
         derivatives = derivatives * factor[:, None]
     method, nodes = _interpolation(written, derivatives is not None)
-    frame = _inertial(written.value("REF_FRAME_A")) or _inertial(written.value("REF_FRAME_B"))
     along = interpolated(t_s, quaternions, method, nodes, derivatives)
     return AttitudeSegment(first_s, last_s, frame, along)
 
 
-def _quaternions(written: WrittenSegment) -> tuple[FloatArray, FloatArray | None]:
+def _spinning(
+    t_s: FloatArray, columns: dict[str, FloatArray], positions: list[str], *, forward: bool
+) -> SpinningStates:
+    """Attitudes of a spinning body, with each state compared with the motion from the one before."""
+    if "NUTATION_PER" in columns and (wrong := np.flatnonzero(columns["NUTATION_PER"] <= 0.0)).size:
+        raise InputError(f"{positions[wrong[0]]}: NUTATION_PER must be above 0 s")
+    along = spinning(t_s, columns, reverse=not forward)
+    along.check(positions)
+    return along
+
+
+def _quaternions(written: WrittenSegment, columns: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray | None]:
     """Quaternions (N, 4) in the direction of the message, scalar last, and their derivatives."""
-    columns, rows = _layout(written).columns, np.array(written.rows)
-    by_name = dict(zip(columns, rows.T, strict=True))
-    if "ANGLE_1" in by_name:
-        return _from_euler(written, rows), None
-    quaternions = np.stack([by_name[name] for name in _COMPONENTS], axis=1)
-    if _DERIVATIVES[0] in by_name:
-        return quaternions, np.stack([by_name[name] for name in _DERIVATIVES], axis=1)
-    if _ANGULAR[0] in by_name:
-        return quaternions, _derivatives(written, quaternions, rows[:, 4:7])
-    return quaternions, None
+
+    def of(names: tuple[str, ...]) -> FloatArray | None:
+        return np.stack([columns[name] for name in names], axis=1) if names[0] in columns else None
+
+    angles = of(_ANGLES)
+    quaternions = of(_COMPONENTS) if angles is None else _from_euler(written, angles)
+    assert quaternions is not None
+    angular, euler_rates = of(_ANGULAR), of(_ANGLE_RATES)
+    if angular is not None and (angles is None or "ANGVEL_FRAME" in written.keys):
+        return quaternions, _derivatives(quaternions, _in_frame_b(written, quaternions, np.radians(angular)))
+    if angles is not None and euler_rates is not None:
+        return quaternions, _derivatives(quaternions, _angular_velocity(written, angles, np.radians(euler_rates)))
+    return quaternions, of(_DERIVATIVES)
 
 
-def _derivatives(written: WrittenSegment, quaternions: FloatArray, degrees_s: FloatArray) -> FloatArray:
-    """Derivatives (N, 4) of quaternions from A to B by the angular velocity of B relative to A, degrees per second,
-    q' = ½ q ⊗ (ω, 0) with ω in axes of B (Wertz 1978, eq. 16-3)."""
+def _in_frame_b(written: WrittenSegment, quaternions: FloatArray, rate: FloatArray) -> FloatArray:
+    """Angular velocities (N, 3) of B relative to A in axes of B."""
     item = written.item("ANGVEL_FRAME")
-    rate = np.radians(degrees_s)
-    if item.value.upper() == written.value("REF_FRAME_A").upper():
-        rate = Rotation.from_quat(quaternions).inv().apply(rate)
-    elif item.value.upper() != written.value("REF_FRAME_B").upper():
+    name = item.value.upper()
+    if name in ("REF_FRAME_A", written.value("REF_FRAME_A").upper()):
+        return np.asarray(Rotation.from_quat(quaternions).inv().apply(rate))
+    if name not in ("REF_FRAME_B", written.value("REF_FRAME_B").upper()):
         raise InputError(f"{item.position}: ANGVEL_FRAME must be REF_FRAME_A or REF_FRAME_B, not {item.value}")
+    return rate
+
+
+def _angular_velocity(written: WrittenSegment, degrees: FloatArray, rates: FloatArray) -> FloatArray:
+    """Angular velocities (N, 3) in axes of B by the rates (N, 3) of Euler angles: each rate is about its own axis,
+    which the rotations that follow take into B."""
+    axes = _sequence(written)
+    total, following = np.zeros_like(rates), Rotation.identity(len(rates))
+    for k in (2, 1, 0):
+        about = np.zeros_like(rates)
+        about[:, "XYZ".index(axes[k])] = rates[:, k]
+        total += following.inv().apply(about)
+        following = Rotation.from_euler(axes[k], degrees[:, k : k + 1], degrees=True) * following
+    return total
+
+
+def _derivatives(quaternions: FloatArray, rate: FloatArray) -> FloatArray:
+    """Derivatives (N, 4) of quaternions from A to B by the angular velocity of B relative to A, q' = ½ q ⊗ (ω, 0) with
+    ω in axes of B (Wertz 1978, eq. 16-3)."""
     vector, scalar = quaternions[:, :3], quaternions[:, 3:]
     along = scalar * rate + np.cross(vector, rate)
     return 0.5 * np.concatenate([along, -np.sum(vector * rate, axis=1, keepdims=True)], axis=1)
 
 
 def _from_euler(written: WrittenSegment, degrees: FloatArray) -> FloatArray:
+    return np.asarray(Rotation.from_euler(_sequence(written), degrees, degrees=True).as_quat())
+
+
+def _sequence(written: WrittenSegment) -> str:
+    """Axes of EULER_ROT_SEQ, such as ``ZXZ``."""
     item = written.item("EULER_ROT_SEQ")
     axes = "".join(_AXES.get(letter, "?") for letter in item.value.upper())
     if len(axes) != 3 or "?" in axes or axes[0] == axes[1] or axes[1] == axes[2]:
         raise InputError(f"{item.position}: '{item.value}' is no sequence of three rotations such as ZXZ or 321")
-    return np.asarray(Rotation.from_euler(axes, degrees, degrees=True).as_quat())
+    return axes
 
 
 def _interpolation(

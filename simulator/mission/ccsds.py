@@ -1,4 +1,5 @@
-"""Navigation messages of CCSDS (502.0-B-3, 504.0-B-2, 505.0-B-3) as a stream of keys and values with their lines.
+"""Navigation messages of CCSDS (502.0-B-1 to B-3, 504.0-B-1 and B-2, 505.0-B-1 to B-3) as a stream of keys and values
+with their lines.
 
 KVN, ``KEY = value`` on each line, and XML give the same stream: an element with text is a key with its value, and a
 block (``META_START`` … ``META_STOP`` in KVN, ``<metadata>`` in XML) opens and closes.
@@ -13,6 +14,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from startracker.errors import InputError
+from startracker.files import MESSAGE_BYTES, as_text, read_bytes
 
 
 class Item(NamedTuple):
@@ -24,6 +26,8 @@ class Item(NamedTuple):
     """Keyword; ``+BLOCK`` where a block opens, ``-BLOCK`` where it closes; empty for a line of data."""
     value: str
     """Its value without units, or the line."""
+    axis: str = ""
+    """Axis, X, Y or Z, that an angle or a rate in XML of the first version names."""
 
 
 _BLOCKS = {
@@ -34,17 +38,35 @@ _BLOCKS = {
     "attitudeState": "STATE",
 }
 """Names of the blocks in XML; those of other elements are their own."""
-_UNIT = re.compile(r"\s*\[[^\]]*\]\s*$")
-
-
-def read_text(path: Path, what: str) -> str:
-    """Text of a file; `InputError` if it cannot be read."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a file of {what}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text; give a file of {what}") from error
+_ROTATIONS = {"rotationAngles": "ANGLE_{}", "rotationRates": "ANGLE_{}_DOT"}
+"""Keys of the elements ``rotation1`` to ``rotation3`` (505.0-B-1) by the element around them."""
+_NUMBER_WITH_UNIT = re.compile(r"([-+.\d][-+.\deEdD]*)\s*\[(.*)\]")
+_VERSIONS = {"OEM": ("1", "2", "3"), "OMM": ("1", "2", "3"), "AEM": ("1", "2")}
+"""Versions that are read, by their first number."""
+_MESSAGES = ("AEM", "ACM", "APM", "CDM", "OCM", "OEM", "OMM", "OPM", "RDM", "TDM")
+_UNITS = {
+    "km": ("X", "Y", "Z", "SEMI_MAJOR_AXIS"),
+    "km/s": ("X_DOT", "Y_DOT", "Z_DOT"),
+    "km/s**2": ("X_DDOT", "Y_DDOT", "Z_DDOT"),
+    "km**3/s**2": ("GM",),
+    "rev/day": ("MEAN_MOTION",),
+    "rev/day**2": ("MEAN_MOTION_DOT",),
+    "rev/day**3": ("MEAN_MOTION_DDOT",),
+    "1/er": ("BSTAR",),
+    "1/s": ("Q1_DOT", "Q2_DOT", "Q3_DOT", "QC_DOT"),
+    "s": ("NUTATION_PER",),
+    "deg": (
+        *("INCLINATION", "RA_OF_ASC_NODE", "ARG_OF_PERICENTER", "MEAN_ANOMALY", "TRUE_ANOMALY"),
+        *("ANGLE_1", "ANGLE_2", "ANGLE_3", "SPIN_ALPHA", "SPIN_DELTA", "SPIN_ANGLE"),
+        *("NUTATION", "NUTATION_PHASE", "MOMENTUM_ALPHA", "MOMENTUM_DELTA"),
+    ),
+    "deg/s": (
+        *("ANGLE_1_DOT", "ANGLE_2_DOT", "ANGLE_3_DOT", "ANGVEL_X", "ANGVEL_Y", "ANGVEL_Z"),
+        *("SPIN_ANGLE_VEL", "NUTATION_VEL"),
+    ),
+}
+_UNIT_OF = {key: unit for unit, keys in _UNITS.items() for key in keys}
+"""The unit of each key; the standards permit no other."""
 
 
 def read_items(path: Path, kind: str) -> list[Item]:
@@ -53,15 +75,36 @@ def read_items(path: Path, kind: str) -> list[Item]:
     Raises
     ------
     InputError
-        With file and line, if the file is not such a message, or is damaged.
+        With file and line, if the file is not such a message or is damaged, for a version that is not known, and for a
+        value in a unit that is not the standard's.
     """
-    text = read_text(path, f"a CCSDS {kind}")
-    if text.lstrip().startswith("<"):
-        return _XmlReader(path, kind).read(text)
-    items = list(_kvn(path, text))
+    hint = f"give a file of a CCSDS {kind}"
+    data = read_bytes(path, MESSAGE_BYTES, hint)
+    if data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"<" or (data[:2] in (b"\xff\xfe", b"\xfe\xff") and b"<" in data[:4]):
+        return _XmlReader(path, kind).read(data)
+    items = list(_kvn(path, as_text(data, path, hint)))
     if not items or items[0].key != f"CCSDS_{kind}_VERS":
-        raise InputError(f"{path}:1: no CCSDS {kind}; it starts with CCSDS_{kind}_VERS = 2.0, or is XML")
+        found = re.fullmatch(r"CCSDS_([A-Z]+)_VERS", items[0].key) if items else None
+        other = f"; this is a CCSDS {found[1]}" if found else ""
+        raise InputError(f"{path}:1: no CCSDS {kind}; it starts with CCSDS_{kind}_VERS = 2.0, or is XML{other}")
+    for item in items:
+        if item.key == f"CCSDS_{kind}_VERS":
+            _check_version(item, kind)
     return items
+
+
+def _check_version(item: Item, kind: str) -> None:
+    if item.value.partition(".")[0] not in _VERSIONS[kind]:
+        known = ", ".join(f"{number}.0" for number in _VERSIONS[kind])
+        raise InputError(f"{item.position}: version {item.value} of the {kind} is not known; use {known}")
+
+
+def _item(position: str, key: str, value: str, unit: str = "", axis: str = "") -> Item:
+    """An entry; `InputError` if its unit is not that of its key."""
+    expected = _UNIT_OF.get(key)
+    if unit and expected and re.sub(r"\s", "", unit).lower().replace("[earthradii]", "er") != expected:
+        raise InputError(f"{position}: {key} is in {unit}; the standard has {expected}, in which the value is needed")
+    return Item(position, key, value, axis)
 
 
 def _kvn(path: Path, text: str) -> Iterator[Item]:
@@ -72,55 +115,89 @@ def _kvn(path: Path, text: str) -> Iterator[Item]:
         if match := re.fullmatch(r"([A-Z_]+)_(START|STOP)", line):
             yield Item(position, ("+" if match[2] == "START" else "-") + match[1], "")
         elif "=" in line:
-            key, _, value = line.partition("=")
-            yield Item(position, key.strip(), _UNIT.sub("", value).strip())
+            key, _, value = (part.strip() for part in line.partition("="))
+            # brackets belong to the value of a text, such as a name
+            found = _NUMBER_WITH_UNIT.fullmatch(value)
+            yield _item(position, key, *((found[1], found[2]) if found else (value,)))
         else:
             yield Item(position, "", line)
 
 
+class _Element(NamedTuple):
+    """An element that is open."""
+
+    name: str
+    position: str
+    attributes: dict[str, str]
+    is_block: bool = False
+    """Whether it has elements within."""
+
+
 class _XmlReader:
-    """Entries of a message in XML, by expat, which knows its lines."""
+    """Entries of a message in XML, by expat, which knows its lines; of several messages in one file (an NDM), those of
+    the wanted kind."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self._path, self._kind = path, kind
         self._items: list[Item] = []
+        self._found: set[str] = set()
         self._text = ""
-        self._open: list[tuple[str, str, bool]] = []
+        self._open: list[_Element] = []
         self._parser = expat.ParserCreate()
         self._parser.buffer_text = True
         self._parser.StartElementHandler = self._starts
         self._parser.EndElementHandler = self._ends
         self._parser.CharacterDataHandler = self._characters
 
-    def read(self, text: str) -> list[Item]:
+    def read(self, data: bytes) -> list[Item]:
         try:
-            self._parser.Parse(text, True)
+            self._parser.Parse(data, True)
         except expat.ExpatError as error:
             reason = expat.ErrorString(error.code)
             raise InputError(f"{self._path}:{error.lineno}: damaged or truncated XML ({reason})") from error
-        if not any(item.key == f"+{self._kind.lower()}" for item in self._items):
-            raise InputError(f"{self._path}:1: no CCSDS {self._kind}; it has no element <{self._kind.lower()}>")
+        except (LookupError, ValueError) as error:
+            raise InputError(f"{self._path}:1: XML in an encoding that cannot be read ({error}); use UTF-8") from error
+        if self._kind not in self._found:
+            other = f"; this is a CCSDS {', '.join(sorted(self._found))}" if self._found else ""
+            raise InputError(f"{self._path}:1: no CCSDS {self._kind}; it has no element <{self._kind.lower()}>{other}")
         return self._items
 
     def _position(self) -> str:
         return f"{self._path}:{self._parser.CurrentLineNumber}"
 
-    def _starts(self, tag: str, _: dict[str, str]) -> None:
+    def _inside(self) -> bool:
+        return any(element.name == self._kind.lower() for element in self._open)
+
+    def _starts(self, tag: str, attributes: dict[str, str]) -> None:
         name = tag.rpartition(":")[2]
-        if self._open and not self._open[-1][2]:
-            outer, position = self._open[-1][:2]
-            self._open[-1] = (outer, position, True)
-            self._items.append(Item(position, f"+{_BLOCKS.get(outer, outer)}", ""))
-        self._open.append((name, self._position(), False))
+        if self._open and not self._open[-1].is_block:
+            outer = self._open[-1] = self._open[-1]._replace(is_block=True)
+            if self._inside():
+                self._items.append(Item(outer.position, f"+{_BLOCKS.get(outer.name, outer.name)}", ""))
+        self._open.append(_Element(name, self._position(), attributes))
+        if name.upper() in _MESSAGES:
+            self._found.add(name.upper())
+        if name == self._kind.lower() and "version" in attributes:
+            version = Item(self._position(), f"CCSDS_{self._kind}_VERS", attributes["version"].strip())
+            _check_version(version, self._kind)
+            self._items.append(version)
         self._text = ""
 
     def _ends(self, _: str) -> None:
-        name, position, is_block = self._open.pop()
-        if is_block:
-            self._items.append(Item(self._position(), f"-{_BLOCKS.get(name, name)}", ""))
-        elif name != "COMMENT":
-            self._items.append(Item(position, name, self._text.strip()))
-        self._text = ""
+        inside = self._inside()
+        element = self._open.pop()
+        text, self._text = " ".join(self._text.split()), ""
+        if not inside:
+            return
+        if element.is_block:
+            self._items.append(Item(self._position(), f"-{_BLOCKS.get(element.name, element.name)}", ""))
+        elif element.name != "COMMENT":
+            key, given = element.name, element.attributes
+            if re.fullmatch("rotation[123]", key) and self._open[-1].name in _ROTATIONS:
+                key = _ROTATIONS[self._open[-1].name].format(key[-1])
+            axis = (given.get("angle") or given.get("rate") or "")[:1].upper()
+            unit = given.get("units", "")
+            self._items.append(_item(element.position, key, text, unit, axis))
 
     def _characters(self, text: str) -> None:
         self._text += text

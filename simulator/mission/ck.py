@@ -21,6 +21,7 @@ from simulator.mission.spice import need_spiceypy
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
+from startracker.files import KERNEL_BYTES, check_file
 
 _DELTET = {
     "DELTET/DELTA_T_A": [32.184],
@@ -99,8 +100,9 @@ def read_ck(path: Path, sclk: Path, clock: Clock, wanted: str | int | None, moun
         to a frame that SPICE does not know.
     """
     for file, what in ((path, "a CK kernel"), (sclk, "a kernel of the spacecraft's clock (SCLK)")):
-        if not file.is_file():
+        if not file.exists():
             raise InputError(f"{file}: no such file; give {what}")
+        check_file(file, KERNEL_BYTES, f"give {what}")
     kernels = (str(path), str(sclk))
     with _loaded(kernels) as spice:
         numbers = list(spice.ckobj(str(path)))

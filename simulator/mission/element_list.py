@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
+from simulator.mission.element_files import read_elements
 from simulator.mission.frames import teme, to_gcrs
-from simulator.mission.mean_elements import MeanElements, epoch_s, read_elements, sgp4_record
+from simulator.mission.mean_elements import MeanElements, epoch_s, sgp4_record
 from simulator.mission.trajectory import States
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
@@ -48,7 +49,7 @@ class ElementList:
 
     @classmethod
     def read(cls, path: Path, clock: Clock, max_age_days: float) -> ElementList:
-        """The list of a file (`simulator.mission.mean_elements.read_elements`); `InputError` with file and line."""
+        """The list of a file (`simulator.mission.element_files.read_elements`); `InputError` with file and line."""
         try:
             stat = path.stat()
             sets = _read(path, stat.st_mtime_ns, stat.st_size)

@@ -46,13 +46,19 @@ def to_frame(frame: str, clock: Clock, t_s: float | FloatArray) -> FloatArray:
     ----------
     frame : str
         ``icrf``; ``equator_of_date``: true equator and equinox; ``ecliptic``: mean ecliptic and equinox of J2000;
-        ``eme2000``: mean equator and equinox of J2000, 23 mas from ICRF (IAU 2006 frame bias); ``teme``: SGP4's;
-        ``itrf``: ITRS by IAU 2006/2000A (ERFA's ``c2t06a``), UT1 from Skyfield's table, without polar motion (0.6″,
-        19 m at the surface).
+        ``eme2000``: mean equator and equinox of J2000, 23 mas from ICRF (IAU 2006 frame bias); ``mean_of_date``: mean
+        equator and equinox of date (IAU 2006, ERFA's ``pmat06``); ``teme``: SGP4's;
+        ``itrf``: ITRS, from the true equator of date by Greenwich apparent sidereal time (IAU 2006/2000A, ERFA's
+        ``gst06``), UT1 from Skyfield's table, without polar motion (0.6″, 19 m at the surface).
     clock, t_s
         The instants.
     """
-    of_date = {"equator_of_date": true_of_date, "teme": teme, "itrf": _earth_fixed}
+    of_date = {
+        "equator_of_date": true_of_date,
+        "mean_of_date": _mean_of_date,
+        "teme": teme,
+        "itrf": _earth_fixed,
+    }
     if frame in of_date:
         return of_date[frame](clock, t_s)
     if frame == "ecliptic":
@@ -62,10 +68,15 @@ def to_frame(frame: str, clock: Clock, t_s: float | FloatArray) -> FloatArray:
     return np.eye(3)
 
 
+def _mean_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
+    return np.asarray(erfa.ufunc.pmat06(*clock.tt_jd(t_s)))
+
+
 def _earth_fixed(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     time = timescale().tt_jd(*clock.tt_jd(t_s))
-    tt1, tt2 = clock.tt_jd(t_s)
-    return np.asarray(erfa.ufunc.c2t06a(tt1, tt2, time.whole, time.ut1_fraction, 0.0, 0.0))
+    of_date = true_of_date(clock, t_s)
+    gast = erfa.ufunc.gst06(time.whole, time.ut1_fraction, *clock.tt_jd(t_s), of_date)
+    return np.asarray(erfa.ufunc.rz(gast, of_date))
 
 
 def to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -167,10 +178,7 @@ def argument_of_latitude_deg(
 
 
 def itrs_km(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> FloatArray:
-    """Positions in the rotating frame of the Earth, km, shape of `r_km`.
-
-    ITRS from the true equator of date by Greenwich apparent sidereal time (IAU 2006/2000A, ERFA's ``gst06``). UTC
-    replaces UT1 and polar motion is neglected: up to 0.9 s and 0.3″, or 0.4 km at the equator.
+    """Positions in the rotating frame of the Earth, km, shape of `r_km`: ``itrf`` of `to_frame`.
 
     Parameters
     ----------
@@ -179,10 +187,7 @@ def itrs_km(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> FloatArr
     r_km : array, shape (3,) or (N, 3)
         Positions in GCRS.
     """
-    of_date = true_of_date(clock, t_s)
-    gast = erfa.ufunc.gst06(*clock.utc_jd(t_s), *clock.tt_jd(t_s), of_date)
-    rotated: FloatArray = (erfa.ufunc.rz(gast, of_date) @ r_km[..., None])[..., 0]
-    return rotated
+    return np.asarray((to_frame("itrf", clock, t_s) @ r_km[..., None])[..., 0])
 
 
 def ground_track_deg(clock: Clock, t_s: float | FloatArray, r_km: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from simulator.mission.ccsds_names import centre_name
 from simulator.mission.clock import Clock
-from simulator.mission.trajectory import BARYCENTRE, Trajectory
+from simulator.mission.trajectory import Trajectory
 from startracker.arrays import FloatArray
 
 CAMERA_FRAME = "STARTRACKER_1"
@@ -25,11 +26,13 @@ class Header:
     """Header of a message."""
 
     name: str
-    """Name of the object, which is its identifier as well."""
+    """Name of the object."""
     created: str
     """Date and time of the message, UTC."""
     comment: str = ""
     """A line about its contents."""
+    object_id: str = ""
+    """International designator; the name where there is none."""
 
     def lines(self, kind: str, version: str) -> list[str]:
         """First lines of a message of a kind."""
@@ -41,13 +44,12 @@ def oem_text(trajectory: Trajectory, t_s: FloatArray, header: Header) -> str:
     """Orbit ephemeris message of a trajectory at times (N,), N ≥ 2, ascending: ICRF axes, UTC, Hermite interpolation of
     up to degree 7."""
     epochs = [trajectory.clock.isot(t, _EPOCH_DIGITS) for t in t_s.tolist()]
-    centre = "SOLAR SYSTEM BARYCENTER" if trajectory.centre == BARYCENTRE else trajectory.centre.upper()
     lines = [
         *header.lines("OEM", "2.0"),
         "META_START",
         f"OBJECT_NAME = {header.name}",
-        f"OBJECT_ID = {header.name}",
-        f"CENTER_NAME = {centre}",
+        f"OBJECT_ID = {header.object_id or header.name}",
+        f"CENTER_NAME = {centre_name(trajectory.centre)}",
         "REF_FRAME = ICRF",
         "TIME_SYSTEM = UTC",
         *_span(epochs),
@@ -69,7 +71,7 @@ def aem_text(clock: Clock, t_s: FloatArray, quaternions: FloatArray, header: Hea
         "META_START",
         _AXES,
         f"OBJECT_NAME = {header.name}",
-        f"OBJECT_ID = {header.name}",
+        f"OBJECT_ID = {header.object_id or header.name}",
         "REF_FRAME_A = ICRF",
         f"REF_FRAME_B = {CAMERA_FRAME}",
         "TIME_SYSTEM = UTC",
@@ -92,6 +94,7 @@ def acm_text(clock: Clock, t_s: FloatArray, quaternions: FloatArray, variances_d
         *header.lines("ACM", "2.0"),
         "META_START",
         f"OBJECT_NAME = {header.name}",
+        *([f"INTERNATIONAL_DESIGNATOR = {header.object_id}"] if header.object_id else []),
         "TIME_SYSTEM = UTC",
         f"EPOCH_TZERO = {clock.isot(start_s, _EPOCH_DIGITS)}",
         "META_STOP",

@@ -1,13 +1,16 @@
-"""Orbit ephemeris messages, CCSDS 502.0-B-3, read from KVN and XML."""
+"""Orbit ephemeris messages, CCSDS 502.0-B-1 to B-3, read from KVN and XML."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from simulator.mission.ccsds_names import centre_of, frame_of
 from simulator.mission.clock import Clock
+from simulator.mission.epochs import elapsed_s
 from simulator.mission.interpolation import StateTable
 from simulator.mission.segments import (
     Layout,
@@ -18,28 +21,8 @@ from simulator.mission.segments import (
     segment_times,
 )
 from simulator.mission.tabulated import Segment, TabulatedTrajectory
-from simulator.mission.trajectory import BARYCENTRE, CENTRES
 from startracker.errors import InputError
 
-FRAMES = {
-    "ICRF": "icrf",
-    "GCRF": "icrf",
-    "EME2000": "eme2000",
-    "J2000": "eme2000",
-    "TEME": "teme",
-    "TOD": "equator_of_date",
-    "ITRF": "itrf",
-}
-"""Reference frames that can be read; a realisation of ITRF (``ITRF2014``, ``ITRF-97``) is taken as ITRF."""
-
-_CENTRES = {name.upper(): name for name in CENTRES} | {
-    "SOLAR SYSTEM BARYCENTER": BARYCENTRE,
-    "SSB": BARYCENTRE,
-    "JUPITER BARYCENTER": "Jupiter",
-    "SATURN BARYCENTER": "Saturn",
-    "URANUS BARYCENTER": "Uranus",
-    "NEPTUNE BARYCENTER": "Neptune",
-}
 _REQUIRED = ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME")
 _LAYOUT = Layout(("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT"), (6, 9))
 """Position and velocity, and perhaps the acceleration."""
@@ -69,16 +52,18 @@ def read_oem(path: Path, clock: Clock, wanted: str | None) -> TabulatedTrajector
         supported, or no such object.
     """
     segments = of_object(path, read_segments(path, "OEM", lambda _: _LAYOUT), wanted, "orbit.object")
-    return TabulatedTrajectory.of([_segment(segment, clock) for segment in segments], clock, str(path))
+    found = TabulatedTrajectory.of([_segment(segment, clock) for segment in segments], clock, str(path))
+    return replace(found, object_id=segments[0].value("OBJECT_ID"))
 
 
 def _segment(written: WrittenSegment, clock: Clock) -> Segment:
     """Segment with times in seconds after the epoch."""
     t_s, (first_s, last_s) = segment_times(written, clock, _REQUIRED)
     method, nodes = _interpolation(written, len(t_s))
-    return Segment(
-        first_s, last_s, _centre(written), _frame(written), StateTable(t_s, np.array(written.rows), method, nodes)
-    )
+    frame = frame_of(written.keys["REF_FRAME"], has_epoch="REF_FRAME_EPOCH" in written.keys)
+    table = StateTable(t_s, np.array(written.rows), method, nodes)
+    centre = centre_of(written.keys["CENTER_NAME"])
+    return Segment(first_s, last_s, centre, frame, table, _frame_epoch_s(written, clock, frame))
 
 
 def _interpolation(written: WrittenSegment, states: int) -> tuple[Literal["lagrange", "hermite"], int]:
@@ -86,26 +71,20 @@ def _interpolation(written: WrittenSegment, states: int) -> tuple[Literal["lagra
     if "INTERPOLATION" not in written.keys:
         return "hermite", min(_DEFAULT_NODES, states)
     given = written.keys["INTERPOLATION"]
-    methods: dict[str, Literal["lagrange", "hermite"]] = {"LINEAR": "lagrange"}
-    methods |= {"LAGRANGE": "lagrange", "HERMITE": "hermite"}
+    if given.value.upper() == "LINEAR":
+        return "lagrange", min(2, states)
+    methods: dict[str, Literal["lagrange", "hermite"]] = {"LAGRANGE": "lagrange", "HERMITE": "hermite"}
     method = methods.get(given.value.upper())
     if method is None:
         raise InputError(f"{given.position}: interpolation {given.value} is not supported; use HERMITE or LAGRANGE")
     return method, polynomial_nodes(written, "INTERPOLATION", hermite=method == "hermite")
 
 
-def _centre(written: WrittenSegment) -> str:
-    item = written.keys["CENTER_NAME"]
-    name = " ".join(item.value.upper().split())
-    if name not in _CENTRES:
-        raise InputError(f"{item.position}: centre {item.value} is not supported; use {', '.join(CENTRES)}")
-    return _CENTRES[name]
-
-
-def _frame(written: WrittenSegment) -> str:
-    item = written.keys["REF_FRAME"]
-    name = item.value.upper()
-    frame = FRAMES.get(name, "itrf" if name.startswith("ITRF") else "")
-    if not frame:
-        raise InputError(f"{item.position}: frame {item.value} is not supported; use {', '.join(FRAMES)}")
-    return frame
+def _frame_epoch_s(written: WrittenSegment, clock: Clock, frame: str) -> float | None:
+    """Seconds after the epoch at which the axes of date of the frame are taken; None for the time of each state."""
+    if "REF_FRAME_EPOCH" not in written.keys or frame in ("icrf", "eme2000"):
+        return None
+    item = written.keys["REF_FRAME_EPOCH"]
+    if frame == "itrf":
+        raise InputError(f"{item.position}: REF_FRAME_EPOCH is for axes of date; {written.value('REF_FRAME')} rotates")
+    return float(elapsed_s(clock, [item.value], written.value("TIME_SYSTEM"), [item.position])[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ from simulator.mission.ccsds import Item, read_items
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import elapsed_s
 from startracker.arrays import FloatArray
-from startracker.errors import InputError
+from startracker.errors import InputError, InputWarning
 
 _HALF_MS = 5e-4
 """Tolerance of the comparison of epochs with those of the metadata."""
@@ -78,6 +79,7 @@ def read_segments(path: Path, kind: str, layout_of: Callable[[WrittenSegment], L
             if item.key == "+META":
                 found.append(WrittenSegment(item.position))
             elif item.key == "-STATE":
+                _refuse_without_metadata(found, item)
                 _add_state(found[-1], layout_of(found[-1]), state, item)
                 state = []
             inside = name if mark == "+" else "DATA" if inside in ("STATE", "COVARIANCE") else ""
@@ -86,14 +88,18 @@ def read_segments(path: Path, kind: str, layout_of: Callable[[WrittenSegment], L
         elif inside == "STATE" and mark not in ("+", "-"):
             state.append(item)
         elif inside != "COVARIANCE" and not item.key:
-            if not found:
-                raise InputError(f"{item.position}: data before META_START")
+            _refuse_without_metadata(found, item)
             _add_line(found[-1], layout_of(found[-1]), item)
     if inside in ("META", "COVARIANCE"):
         raise InputError(f"{items[-1].position}: the file ends before {inside}_STOP; it is truncated")
     if not found:
         raise InputError(f"{path}: has no segment (META_START)")
     return found
+
+
+def _refuse_without_metadata(found: Sequence[WrittenSegment], item: Item) -> None:
+    if not found:
+        raise InputError(f"{item.position}: data before META_START")
 
 
 def _add_line(segment: WrittenSegment, layout: Layout, item: Item) -> None:
@@ -114,8 +120,19 @@ def _add_state(segment: WrittenSegment, layout: Layout, state: list[Item], end: 
     for key in ("EPOCH", *layout.columns):
         if key not in given:
             raise InputError(f"{end.position}: the state has no {key}")
+        _check_axis(segment, given[key])
     segment.epochs.append(given["EPOCH"])
     segment.rows.append([numbers([given[key].value], given[key].position)[0] for key in layout.columns])
+
+
+def _check_axis(segment: WrittenSegment, item: Item) -> None:
+    """Compare the axis that an angle or a rate names with the sequence of rotations."""
+    if not item.axis or "EULER_ROT_SEQ" not in segment.keys:
+        return
+    sequence = segment.keys["EULER_ROT_SEQ"].value.upper().translate(str.maketrans("123", "XYZ"))
+    number = int(item.key.split("_")[1])
+    if sequence[number - 1 : number] != item.axis:
+        raise InputError(f"{item.position}: rotation {number} is about {item.axis}, but EULER_ROT_SEQ = {sequence}")
 
 
 def numbers(texts: Iterable[str], position: str) -> list[float]:
@@ -152,11 +169,12 @@ def segment_times(
 ) -> tuple[FloatArray, tuple[float, float]]:
     """Times (N,) of a segment's states, seconds after the epoch, and its usable span.
 
+    States that do not reach START_TIME or STOP_TIME limit the span, with an `InputWarning`.
+
     Raises
     ------
     InputError
-        With file and line: metadata that are missing, no states, epochs that do not ascend, or states that do not reach
-        the span of the metadata.
+        With file and line: metadata that are missing, no states, or epochs that do not ascend.
     """
     for key in required:
         segment.item(key)
@@ -172,13 +190,13 @@ def segment_times(
         if key in segment.keys:
             item = segment.keys[key]
             span[key] = float(elapsed_s(clock, [item.value], scale, [item.position])[0])
-    if t_s[-1] < span["STOP_TIME"] - _HALF_MS or t_s[0] > span["START_TIME"] + _HALF_MS:
-        missing = "STOP_TIME" if t_s[-1] < span["STOP_TIME"] - _HALF_MS else "START_TIME"
-        at = positions[-1] if missing == "STOP_TIME" else positions[0]
-        raise InputError(
-            f"{at}: the states do not reach {missing} = {segment.value(missing)}; the file is truncated or its "
-            "metadata is wrong"
-        )
+    for key, missing in (("START_TIME", t_s[0] > span["START_TIME"]), ("STOP_TIME", t_s[-1] < span["STOP_TIME"])):
+        at = 0 if key == "START_TIME" else -1
+        if missing and abs(t_s[at] - span[key]) > _HALF_MS:
+            warn_of(
+                f"{positions[at]}: the states do not reach {key} = {segment.value(key)}, only "
+                f"{segment.epochs[at].value}; is the file truncated?"
+            )
     first = max(span.get("USEABLE_START_TIME", t_s[0]), t_s[0])
     last = min(span.get("USEABLE_STOP_TIME", t_s[-1]), t_s[-1])
     return t_s, (float(first), float(last))
@@ -187,16 +205,26 @@ def segment_times(
 def polynomial_nodes(segment: WrittenSegment, method_key: str, *, hermite: bool) -> int:
     """Nodes of the polynomial whose degree INTERPOLATION_DEGREE states; of Hermite's half as many.
 
+    A degree that needs more states than the segment has is lowered to what they give, with an `InputWarning`.
+
     Raises
     ------
     InputError
-        With file and line, for a degree that is impossible, or needs more states than the segment has.
+        With file and line, for a degree that is impossible.
     """
     item, states = segment.item("INTERPOLATION_DEGREE"), len(segment.epochs)
     degree = numbers([item.value], item.position)[0]
     nodes = int(degree + 1) // 2 if hermite else int(degree + 1)
     wrong = degree != int(degree) or nodes < 1 or (hermite and degree % 2 == 0)
-    if wrong or nodes > states:
-        need = f"needs {nodes} states, and the segment has {states}" if nodes > states else "is impossible"
-        raise InputError(f"{item.position}: {segment.value(method_key)} of degree {degree:g} {need}")
-    return nodes
+    what = f"{item.position}: {segment.value(method_key)} of degree {degree:g}"
+    if wrong:
+        raise InputError(f"{what} is impossible")
+    if nodes > states:
+        used = 2 * states - 1 if hermite else states - 1
+        warn_of(f"{what} needs {nodes} states, and the segment has {states}: degree {used} is used")
+    return min(nodes, states)
+
+
+def warn_of(text: str) -> None:
+    """An `InputWarning` about a message."""
+    warnings.warn(text, InputWarning, stacklevel=3)

@@ -16,9 +16,15 @@ from simulator.mission.tabulated import Segment, Table, TabulatedTrajectory
 from simulator.mission.trajectory import BARYCENTRE
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
+from startracker.files import KERNEL_BYTES, check_file
 
 NAIF = {
     0: BARYCENTRE,
+    1: "Mercury",
+    2: "Venus",
+    3: "Earth-Moon barycentre",
+    4: "Mars",
+    9: "Pluto barycentre",
     10: "Sun",
     199: "Mercury",
     299: "Venus",
@@ -30,7 +36,7 @@ NAIF = {
     7: "Uranus",
     8: "Neptune",
 }
-"""Centres by NAIF number."""
+"""Centres by NAIF number; of two numbers of one centre, that of the body itself comes last."""
 _FRAMES = {1: "icrf", 17: "ecliptic"}
 """Frames by NAIF number: J2000, which SPICE identifies with the ICRF, and ECLIPJ2000."""
 _POSITIONS, _STATES = 2, 3
@@ -109,6 +115,7 @@ def _segments(path: Path) -> list[Any]:
     from jplephem.daf import DAF
     from jplephem.spk import SPK
 
+    check_file(path, KERNEL_BYTES, "give an SPK kernel")
     try:
         with path.open("rb") as file:
             kernel = SPK(DAF(file))

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simulator.mission.ccsds import read_text
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import elapsed_s
 from simulator.parquet import read_parquet
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
+from startracker.files import MESSAGE_BYTES, read_text
 
 _TIMES = ("utc", "t_s")
 
@@ -91,7 +91,11 @@ def read_rows(path: Path, clock: Clock, columns: Sequence[str], optional: Sequen
 
 
 def _csv(path: Path) -> _Text:
-    lines = [(n, line) for n, line in enumerate(read_text(path, "a table").splitlines(), 1) if _has_data(line)]
+    lines = [
+        (n, line)
+        for n, line in enumerate(read_text(path, MESSAGE_BYTES, "give a file of a table").splitlines(), 1)
+        if _has_data(line)
+    ]
     cells = [[cell.strip() for cell in next(csv.reader([line]))] for _, line in lines]
     positions = [f"{path}:{number}" for number, _ in lines]
     return _Text(cells[0] if cells else [], cells[1:], positions[1:], positions[0] if positions else f"{path}:1")

@@ -46,6 +46,8 @@ class Segment:
     """Axes (`simulator.mission.frames.to_frame`, or ``itrf``), in which the states are interpolated."""
     table: Table
     """States over seconds after the epoch."""
+    frame_epoch_s: float | None = None
+    """Time of the axes of date, seconds after the epoch; None for the time of each state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +62,8 @@ class TabulatedTrajectory:
     segments: tuple[Segment, ...]
     name: str
     """The file, for messages."""
+    object_id: str = ""
+    """Identifier of the object in the file; empty where it has none."""
 
     @classmethod
     def of(cls, segments: list[Segment], clock: Clock, name: str, centre: str | None = None) -> TabulatedTrajectory:
@@ -96,7 +100,8 @@ class TabulatedTrajectory:
 
     def _states(self, segment: Segment, t_s: FloatArray) -> FloatArray:
         found = segment.table.state(t_s)
-        r_km, v_km_s = states_to_gcrs(segment.frame, self.clock, t_s, found[:, :3], found[:, 3:])
+        of_date_s = t_s if segment.frame_epoch_s is None else np.full_like(t_s, segment.frame_epoch_s)
+        r_km, v_km_s = states_to_gcrs(segment.frame, self.clock, of_date_s, found[:, :3], found[:, 3:])
         out = np.concatenate([r_km, v_km_s], axis=1)
         if segment.centre != self.centre:
             theirs, ours = (centre_state(name, self.clock, t_s) for name in (segment.centre, self.centre))

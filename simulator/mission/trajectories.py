@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from simulator.mission.clock import Clock
+from simulator.mission.element_files import read_omm, read_tle
 from simulator.mission.elliptic import EllipticOrbit
 from simulator.mission.frames import to_frame
 from simulator.mission.kepler import Elements
-from simulator.mission.mean_elements import read_omm, read_tle
 from simulator.mission.numerical import NumericalOrbit
 from simulator.mission.oem import read_oem
 from simulator.mission.orbit import J2Orbit, build_orbit

@@ -11,12 +11,13 @@ from numpy.typing import ArrayLike
 from simulator.constants import EARTH_GM_KM3_S2
 from simulator.mission.clock import Clock
 from startracker.arrays import FloatArray
-from startracker.ephemeris import DE421_NAME, barycentric, timescale
+from startracker.ephemeris import DE421_BARYCENTRES, DE421_NAME, barycentric, timescale
 from startracker.errors import InputError
 
 BARYCENTRE = "Solar system barycentre"
-CENTRES = (*DE421_NAME, BARYCENTRE)
-"""Centres of trajectories: bodies of DE421, and the barycentre of the solar system."""
+CENTRES = (*DE421_NAME, *DE421_BARYCENTRES, BARYCENTRE)
+"""Centres of trajectories: all points of DE421. Jupiter to Neptune are the barycentres with their moons; that of Mars
+is within a metre of its centre, and Mercury and Venus have no moons."""
 
 GM_KM3_S2 = {
     "Mercury": 22_031.78,
@@ -29,6 +30,8 @@ GM_KM3_S2 = {
     "Uranus": 5_794_548.6,
     "Neptune": 6_836_527.100_58,
     "Sun": 132_712_440_041.9394,
+    "Earth-Moon barycentre": EARTH_GM_KM3_S2 + 4_902.800_066,
+    "Pluto barycentre": 977.0,
     BARYCENTRE: 132_712_440_041.9394,
 }
 """Gravitational parameters: DE430 and DE431 (Folkner et al. 2014, IPN Progress Report 42-196, table 8), those of Mars

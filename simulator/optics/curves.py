@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
+from startracker.files import CURVE_BYTES, read_text
 
 CurveKind = Literal["transmission", "quantum_efficiency", "passband"]
 
@@ -128,12 +129,7 @@ def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None =
         return _parse(text, spec)
     path = Path(base_dir or ".") / spec
     if path.suffix.lower() == ".csv" or len(Path(spec).parts) > 1 or path.is_file():
-        try:
-            return _parse(path.read_text(encoding="utf-8-sig"), str(path))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); give a CSV file of the {what}") from error
-        except UnicodeDecodeError as error:
-            raise InputError(f"{path}: is not text; give a CSV file of the {what}") from error
+        return _parse(read_text(path, CURVE_BYTES, f"give a CSV file of the {what}"), str(path))
     close = difflib.get_close_matches(spec, names, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     raise InputError(f"'{spec}' is not an included {what} ({', '.join(names)}), a number or a CSV file{hint}")

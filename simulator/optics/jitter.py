@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
+from startracker.files import CURVE_BYTES, read_text
 
 
 @dataclass(frozen=True)
@@ -133,13 +134,12 @@ def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
     if parameters.table is None:
         raise InputError("pointing.jitter.psd: table needs pointing.jitter.table, a CSV file (frequency_hz, psd)")
     path = Path(base_dir) / parameters.table
+    wanted = "pointing.jitter.table is a CSV file with two columns of numbers (frequency_hz, psd)"
+    lines = read_text(path, CURVE_BYTES, wanted).splitlines()
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
         rows = [line.split(",") for line in lines if line.strip() and not line.lstrip()[0].isalpha() and line[0] != "#"]
         f, density = np.array([[float(cell) for cell in row] for row in rows]).T
-    except OSError as error:
-        raise InputError(f"pointing.jitter.table: {path}: cannot be read ({error.strerror})") from error
-    except (UnicodeDecodeError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"pointing.jitter.table: {path}: needs two columns of numbers (frequency_hz, psd)") from error
     area = float(np.trapezoid(density, f))
     if not (np.isfinite(area) and area > 0.0 and (np.diff(f) > 0.0).all() and f[0] >= 0.0 and (density >= 0.0).all()):

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
+from startracker.files import CURVE_BYTES, read_text
 
 BEYOND_EXCLUSION_PST = 1e-9
 """Point-source transmittance of ``vane`` outside its exclusion angle: attenuations "on the order of 10⁹ for angles
@@ -147,14 +148,7 @@ def _off_axis(boresight: ArrayLike, directions: ArrayLike) -> FloatArray:
 
 def _read(path: Path) -> list[tuple[float, float]]:
     """Points of a CSV file; the first fault is reported with its line."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); optics.baffle.pst is 'vane' or a CSV file angle_deg,pst"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text; give a CSV file angle_deg,pst") from error
+    lines = read_text(path, CURVE_BYTES, "optics.baffle.pst is 'vane' or a CSV file angle_deg,pst").splitlines()
     points: list[tuple[float, float]] = []
     header = False
     for number, line in enumerate(lines, start=1):

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.mission.clock import Clock
+from simulator.mission.element_files import is_called
 from simulator.mission.element_list import ElementList
 from simulator.mission.trajectory import States
 from simulator.optics.bodies import share_before_limb
@@ -200,8 +201,7 @@ def load_satellites(given: SatelliteParameters, clock: Clock, folder: Path) -> S
         else given.standard_magnitude
     )
     for size in given.objects:
-        wanted = str(size.object).strip().lower()
-        rows = [k for k, e in enumerate(orbits.elements) if wanted in (e.name.lower(), e.number)]
+        rows = [k for k, elements in enumerate(orbits.elements) if is_called(elements, size.object)]
         if not rows:
             raise InputError(f"{path}: has no object {size.object} (sky.satellites.objects)")
         diameter_m = given.diameter_m if size.diameter_m is None else size.diameter_m

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
+from startracker.files import CURVE_BYTES, check_file
 from startracker.kernels import kernel
 
 _LEAST_OVERSAMPLING = 8
@@ -146,16 +148,21 @@ def load_psf(path: str | Path) -> PsfModel:
     InputError
         Not such a file.
     """
-    try:
-        changed = Path(path).stat().st_mtime_ns
-    except OSError as error:
-        raise InputError(f"centroid.psf: '{path}' cannot be read: {error.strerror}") from error
+    changed = check_file(path, CURVE_BYTES, "centroid.psf is a star image made by PsfModel.save").st_mtime_ns
     return _read_psf(str(path), changed)
+
+
+_MOST_EXPANDED_BYTES = 10 * CURVE_BYTES
+"""Largest size of the tables of an archive, which may be compressed a thousandfold."""
 
 
 @lru_cache(maxsize=8)
 def _read_psf(path: str, changed: int) -> PsfModel:
     try:
+        with zipfile.ZipFile(path) as archive:
+            expanded = sum(entry.file_size for entry in archive.infolist())
+        if expanded > _MOST_EXPANDED_BYTES:
+            raise InputError(f"its tables have {expanded:,} bytes")
         with np.load(path, allow_pickle=False) as data:
             table = np.ascontiguousarray(data["table"], dtype=float)
             oversampling, shape = int(data["oversampling"]), tuple(float(v) for v in data["shape"])

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.arrays import FloatArray
 from startracker.display import described
 from startracker.errors import InputError
+from startracker.files import read_yaml
 from startracker.geometry.distortion import Distortion
 from startracker.geometry.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
 from startracker.geometry.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
@@ -150,16 +151,7 @@ class Camera:
     @classmethod
     def from_yaml(cls, path: str | Path) -> Camera:
         """Camera from a YAML file whose keys are the parameters of this class; `InputError` reports every fault."""
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
-
-        try:
-            data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); give a camera file") from error
-        except (YAMLError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
-        return cls.from_dict(data, where=str(path))
+        return cls.from_dict(read_yaml(path, "give a camera file"), where=str(path))
 
     @classmethod
     def from_dict(cls, data: Any, where: str = "camera") -> Camera:

@@ -10,13 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.display import described, html_card
 from startracker.errors import InputError
+from startracker.files import IMAGE_BYTES, read_bytes
 from startracker.images.bayer import bayer_to_grey
 from startracker.images.picture import photograph
 
@@ -41,6 +42,11 @@ _RAW_SUFFIXES = re.compile(r"\.(3fr|arw|cr2|cr3|crw|dng|iiq|nef|nrw|orf|pef|raf|
 _RAW_STARTS = (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb")
 """First bytes of raw files of Fujifilm, Olympus, Panasonic, Phase One and Sigma; others are known by their name."""
 _HINT = "give a PNG, TIFF, JPEG or FITS image"
+_REVERSED = "FITS has its first row at the bottom: rows are counted from the top of the picture, its last row"
+
+
+RowOrder = Literal["TOP-DOWN", "BOTTOM-UP"]
+"""Whether the first row of a file is the top or the bottom of the picture; values of the FITS keyword ROWORDER."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +56,7 @@ class LoadedImage:
     Parameters
     ----------
     image : float32 array, shape (H, W)
-        DN; colour channels averaged; NaN for blank pixels of a FITS file.
+        DN, the top row first; colour channels averaged; NaN for blank pixels of a FITS file.
     saturation_dn : float, optional
         Largest value of the file's integer type; None if it sets no limit.
     header : dict
@@ -59,6 +65,8 @@ class LoadedImage:
         Notes for the user: channels averaged, EXIF orientation applied or not.
     colours : float32 array, shape (H, W, 3), optional
         Red, green and blue of a colour picture, for pictures; only where they were asked for.
+    row_order : {"TOP-DOWN", "BOTTOM-UP"}
+        Order of the rows in the file; those of `image` are always from the top down.
     """
 
     image: NDArray[np.float32]
@@ -66,6 +74,7 @@ class LoadedImage:
     header: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     colours: NDArray[np.float32] | None = None
+    row_order: RowOrder = "TOP-DOWN"
 
     def __repr__(self) -> str:
         height, width = self.image.shape
@@ -87,13 +96,17 @@ def read_image(
 
     Colour channels are averaged (without transparency), palettes are resolved; 16 bits per channel stay 16 bits.
 
+    The first row of the array is the top of the picture, of every format. FITS files have the bottom row first (FITS
+    Standard 4.0, section 3.3.2 and figure 1) unless their keyword ROWORDER is ``TOP-DOWN``; their rows are reversed.
+    Frames of `simulator` have the top row first, and say so.
+
     Parameters
     ----------
     path : str or Path
         FITS, PNG, TIFF, JPEG or another format that Pillow reads.
     bayer : str, optional
         The file holds a raw Bayer mosaic of this pattern (RGGB, BGGR, GRBG, GBRG), which is converted to grey
-        (`startracker.images.bayer.bayer_to_grey`).
+        (`startracker.images.bayer.bayer_to_grey`); of a FITS file the pattern of its first two rows.
     upright : bool
         Apply the EXIF orientation, as viewers do; pixel coordinates are those of the upright picture. False keeps the
         rows and columns of the sensor, to which a calibrated camera or a bad-pixel map refers; a raw mosaic always
@@ -127,21 +140,19 @@ def read_image(
                 np.where(loaded.image < loaded.saturation_dn, np.nan, loaded.image), bayer, balance=False
             )
             full = float(np.nanmin(np.where(np.isfinite(top), grey, np.inf)))
-        loaded = LoadedImage(grey, full if full is not None and np.isfinite(full) else None, loaded.header, notes)
+        full = full if full is not None and np.isfinite(full) else None
+        loaded = LoadedImage(grey, full, loaded.header, notes, row_order=loaded.row_order)
+    if loaded.row_order == "BOTTOM-UP":
+        loaded = replace(loaded, image=np.ascontiguousarray(loaded.image[::-1]), notes=(*loaded.notes, _REVERSED))
     if not np.isfinite(loaded.image).any():
         raise InputError(f"{file}: no pixel is a finite number; {_HINT} of the sky")
     return loaded
 
 
 def _bytes_of(file: Path) -> bytes:
-    if file.is_dir():
+    if "\0" not in str(file) and file.is_dir():
         raise InputError(f"{file}: is a folder; give the image files inside it")
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror or error}); {_HINT}") from error
-    except ValueError as error:  # a NUL in the name
-        raise InputError(f"{str(file)!r}: is not a file name; {_HINT}") from error
+    return read_bytes(file, IMAGE_BYTES, _HINT)
 
 
 def _refuse_unreadable(file: Path, data: bytes) -> None:
@@ -259,6 +270,7 @@ def _finish(array: NDArray[Any], header: dict[str, Any], notes: tuple[str, ...],
 
 
 def _read_fits(file: Path) -> LoadedImage:
+    """Image of a FITS file with its rows as they are stored."""
     import warnings
 
     from astropy.io import fits
@@ -300,4 +312,13 @@ def _read_fits(file: Path) -> LoadedImage:
     stated = header.get("SATURATE")
     if isinstance(stated, int | float) and not isinstance(stated, bool) and stated > 0:
         saturation = float(stated)
-    return LoadedImage(loaded.image, saturation, header, notes)
+    return LoadedImage(loaded.image, saturation, header, notes, row_order=row_order_of(header))
+
+
+def row_order_of(header: dict[str, Any]) -> RowOrder:
+    """Order of the rows of a FITS image: ROWORDER, which cameras' programs write, else the standard's, from the bottom
+    up. Frames of `simulator` that do not state it, known by CAM_FX, have the top row first."""
+    stated = str(header.get("ROWORDER", "")).strip().upper()
+    if stated in ("TOP-DOWN", "BOTTOM-UP"):
+        return "TOP-DOWN" if stated == "TOP-DOWN" else "BOTTOM-UP"
+    return "TOP-DOWN" if "CAM_FX" in header else "BOTTOM-UP"

@@ -20,10 +20,10 @@ from skyfield.api import EarthSatellite, load
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_KM, EARTH_ZONALS
 from simulator.mission import forces, frames
 from simulator.mission.clock import Clock
+from simulator.mission.element_files import read_omm, read_tle
 from simulator.mission.elliptic import EllipticOrbit
 from simulator.mission.forces import acceleration
 from simulator.mission.kepler import Elements, eccentric_anomaly, elements_of, periapsis_km
-from simulator.mission.mean_elements import read_omm, read_tle
 from simulator.mission.numerical import NumericalOrbit
 from simulator.mission.orbit import build_orbit
 from simulator.mission.parameters import ForceModel, KeplerianElements, OrbitParameters, StateVector

@@ -11,8 +11,8 @@ from skyfield.positionlib import Geocentric
 
 from simulator.fits import write_fits
 from simulator.mission.clock import Clock
+from simulator.mission.element_files import read_elements
 from simulator.mission.element_list import ElementList
-from simulator.mission.mean_elements import read_elements
 from simulator.mission.walker import Walker, walker_tle
 from simulator.optics.drift import Drift, drifting_paths
 from simulator.optics.smear import star_paths

@@ -65,6 +65,8 @@ def test_jpeg_with_an_orientation_is_turned_and_says_so(tmp_path):
 
 
 def test_fits_of_several_kinds(tmp_path):
+    """The bottom row comes first in the file (FITS Standard 4.0), the top row in the array."""
+
     def written(name, data, **cards):
         unit = fits.PrimaryHDU(data)
         unit.header.update(cards)
@@ -72,21 +74,59 @@ def test_fits_of_several_kinds(tmp_path):
         return read_image(tmp_path / name)
 
     plain = written("a.fits", GREY16, SATURATE=4000.0, EXPTIME=0.5)
-    np.testing.assert_array_equal(plain.image, GREY16)
+    np.testing.assert_array_equal(plain.image, GREY16[::-1])
     assert plain.saturation_dn == 4000.0
     assert plain.header["EXPTIME"] == 0.5
     assert written("b.fits", GREY16).saturation_dn == 65535.0
     real = GREY16.astype(float)
     real[2, 3], real[0, 0] = np.nan, np.inf
     loaded = written("c.fits", real)
-    assert np.isnan(loaded.image[2, 3])
-    assert np.isnan(loaded.image[0, 0])
-    assert loaded.image[5, 5] == real[5, 5]
-    np.testing.assert_allclose(written("d.fits", np.moveaxis(COLOUR, 2, 0)).image, COLOUR.mean(axis=2), rtol=1e-6)
-    np.testing.assert_array_equal(written("e.fits", GREY8[None]).image, GREY8)
+    assert np.isnan(loaded.image[-3, 3])
+    assert np.isnan(loaded.image[-1, 0])
+    assert loaded.image[-6, 5] == real[5, 5]
+    colour = written("d.fits", np.moveaxis(COLOUR, 2, 0)).image
+    np.testing.assert_allclose(colour, COLOUR.mean(axis=2)[::-1], rtol=1e-6)
+    np.testing.assert_array_equal(written("e.fits", GREY8[None]).image, GREY8[::-1])
     units = fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(GREY8)])
     units.writeto(tmp_path / "f.fits")
-    np.testing.assert_array_equal(read_image(tmp_path / "f.fits").image, GREY8)
+    np.testing.assert_array_equal(read_image(tmp_path / "f.fits").image, GREY8[::-1])
+
+
+@pytest.mark.parametrize(
+    ("cards", "order"),
+    [
+        ({}, "BOTTOM-UP"),
+        ({"ROWORDER": "BOTTOM-UP"}, "BOTTOM-UP"),
+        ({"ROWORDER": "bottom-up "}, "BOTTOM-UP"),
+        ({"ROWORDER": "TOP-DOWN"}, "TOP-DOWN"),
+        ({"ROWORDER": "top-down"}, "TOP-DOWN"),
+        ({"ROWORDER": "unknown"}, "BOTTOM-UP"),
+        ({"CAM_FX": 1000.0}, "TOP-DOWN"),
+        ({"CAM_FX": 1000.0, "ROWORDER": "BOTTOM-UP"}, "BOTTOM-UP"),
+    ],
+)
+@pytest.mark.parametrize("upright", [True, False])
+def test_rows_of_fits_files(cards, order, upright, tmp_path):
+    """By ROWORDER; without it from the bottom up, but for frames of boresight, which have the top row first. A camera
+    file counts the rows of a photograph from the top in every format."""
+    unit = fits.PrimaryHDU(GREY16 if order == "TOP-DOWN" else GREY16[::-1])
+    unit.header.update(cards)
+    unit.writeto(tmp_path / "a.fits")
+    loaded = read_image(tmp_path / "a.fits", upright=upright)
+    np.testing.assert_array_equal(loaded.image, GREY16)
+    assert loaded.image.flags.c_contiguous
+    assert loaded.row_order == order
+    assert any("first row at the bottom" in note for note in loaded.notes) == (order == "BOTTOM-UP")
+
+
+def test_a_mosaic_in_fits_has_the_pattern_of_its_first_rows(tmp_path):
+    """Of an odd number of rows the pattern of the reversed rows would be another one."""
+    mosaic = np.random.default_rng(5).normal(500.0, 5.0, (31, 40)).astype(np.float32)
+    mosaic[0::2, 0::2] *= 2.0
+    fits.PrimaryHDU(mosaic).writeto(tmp_path / "m.fits")
+    fits.PrimaryHDU(mosaic, fits.Header({"ROWORDER": "TOP-DOWN"})).writeto(tmp_path / "t.fits")
+    stored = read_image(tmp_path / "t.fits", bayer="RGGB").image
+    np.testing.assert_array_equal(read_image(tmp_path / "m.fits", bayer="RGGB").image, stored[::-1])
 
 
 def faulty_files(folder):

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import warnings
 from datetime import UTC, datetime
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 from simulator import Scenario
 from simulator.build import build_orbit
 from simulator.checks import NAME_CHECKS, load_scenario
+from simulator.cli import _run
 from simulator.mission.clock import Clock
 from simulator.mission.parameters import ForceModel, KeplerianElements, OrbitParameters, StateVector
 from simulator.mission.sampling import trial_time_s
 from simulator.mission.trajectories import build_trajectory
 from simulator.mission.trajectory import UNLIMITED, Trajectory, from_earth
-from startracker.errors import InputError
+from startracker.errors import InputError, InputWarning
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)
 CLOCK = Clock(EPOCH)
@@ -169,7 +171,6 @@ def test_tle_and_omm_are_the_same_orbit(tmp_path):
         ("omm", OMM.replace("34.2682 [deg]", "x"), r"craft\.omm:13: INCLINATION is 'x', which is not a number"),
         ("omm", "\n".join(OMM.splitlines()[:12]), r"craft\.omm: the message has no BSTAR; it is incomplete"),
         ("omm", "hello\n", r"craft\.omm:1: no CCSDS OMM"),
-        ("oem", oem(lambda lines: lines[:-2]), r"craft\.oem:15: the states do not reach STOP_TIME.*truncated"),
         ("oem", oem(lambda lines: [*lines[:-1], lines[-1][:60]]), r"craft\.oem:17: a line has an epoch and 6"),
         ("oem", oem(lambda lines: lines[:8]), r"craft\.oem:8: the file ends before META_STOP; it is truncated"),
         ("oem", oem(lambda lines: lines[:12]), r"craft\.oem:4: the segment has no states"),
@@ -182,8 +183,8 @@ def test_tle_and_omm_are_the_same_orbit(tmp_path):
         ("oem", oem(replaced("T12:02:00.000 ", "T12.02 ")), r"craft\.oem:15: .* is no epoch"),
         (
             "oem",
-            oem(replaced("META_STOP", "INTERPOLATION = LAGRANGE\nINTERPOLATION_DEGREE = 7\nMETA_STOP")),
-            r"craft\.oem:13: LAGRANGE of degree 7 needs 8 states, and the segment has 5",
+            oem(replaced("META_STOP", "INTERPOLATION = HERMITE\nINTERPOLATION_DEGREE = 6\nMETA_STOP")),
+            r"craft\.oem:13: HERMITE of degree 6 is impossible",
         ),
         ("oem", "<oem><body></oem>", r"craft\.oem:1: damaged or truncated XML"),
         ("oem", "<oem><body>", r"craft\.oem:1: damaged or truncated XML"),
@@ -213,13 +214,22 @@ def test_missing_and_binary_files(tmp_path, key):
 
 
 def test_every_truncation_of_a_file_is_an_error_or_the_whole(tmp_path):
-    """Cut after any character, an OEM is refused in one line, unless only the end of its last number is lost."""
+    """Cut after any character, an OEM is refused in one line, or ends at its last whole state with a line that asks
+    whether it is truncated, unless only the end of its last number is lost."""
     text = oem()
     for cut in range(1, len(text.rstrip()) - 6, 7):
-        with pytest.raises(InputError) as error:
-            build(tmp_path, "oem", text[:cut])
-        assert "\n" not in str(error.value)
-        assert "craft.oem" in str(error.value)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                whole = build(tmp_path, "oem", text[:cut])
+                assert whole.span_s[1] <= 180.0 + 2e-6
+                told = [str(warning.message) for warning in caught]
+                assert len(told) == 1
+                assert "do not reach STOP_TIME" in told[0]
+            except InputError as error:
+                told = [str(error)]
+        assert "\n" not in told[0]
+        assert "craft.oem" in told[0]
 
 
 def test_nothing_extrapolates(tmp_path):
@@ -298,9 +308,21 @@ def test_files_are_found_beside_the_scenario(tmp_path):
     assert 0.0 <= t_s.min() < 10.0
     assert 230.0 < t_s.max() <= 240.0
     (folder / "craft.oem").write_text(oem(lambda lines: lines[:-1]))
-    with pytest.raises(InputError, match=r"s.yaml:2:\d+: orbit.oem: .*craft.oem:16: the states do not reach STOP_TIME"):
+    with pytest.warns(InputWarning, match=r"craft.oem:16: the states do not reach STOP_TIME"):
+        assert build_orbit(load_scenario(scenario)).span_s[1] == pytest.approx(180.0, abs=2e-6)
+    (folder / "craft.oem").write_text(oem(lambda lines: [*lines[:-1], lines[-1][:60]]))
+    with pytest.raises(InputError, match=r"s.yaml:2:\d+: orbit.oem: .*craft.oem:17: a line has an epoch and 6"):
         load_scenario(scenario)
     assert "orbit.oem" in NAME_CHECKS
+
+
+def test_a_warning_of_a_file_is_printed_once_a_command(tmp_path, capsys):
+    """The check of a scenario reads the file, and its frame again."""
+    (tmp_path / "craft.oem").write_text(oem(lambda lines: lines[:-1]))
+    (tmp_path / "s.yaml").write_text("base: cubesat_ideal\norbit: {oem: craft.oem}\nstudy: {sampling: span}\n")
+    assert _run(["render", str(tmp_path / "s.yaml"), "--out", str(tmp_path / "frame.fits")]) == 0
+    printed = capsys.readouterr().err.splitlines()
+    assert [line.partition("craft.oem:16: ")[2][:26] for line in printed] == ["the states do not reach ST"]
 
 
 def test_sampling_says_what_does_not_apply():

@@ -24,6 +24,7 @@ from startracker.arrays import FloatArray
 from startracker.calibration.camera_file import rounded
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
+from startracker.files import read_yaml
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 
@@ -220,15 +221,7 @@ def read_stimulator(path: str | Path) -> Stimulator:
     InputError
         For a file that cannot be read, with its fault in one line.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        data = YAML(typ="safe").load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a stimulator file") from error
-    except (YAMLError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    data = read_yaml(path, "give a stimulator file")
     try:
         return _stimulator_of(data, str(path))
     except KeyError as error:

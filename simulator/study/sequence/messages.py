@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.build import build_orbit
+from simulator.mission.mean_elements import MeanElementsOrbit
 from simulator.mission.messages import Header, acm_text, aem_text, oem_text
 from simulator.mission.spice import Attitudes, spice_kernels
+from simulator.mission.tabulated import TabulatedTrajectory
 from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
 from simulator.study.statistics import CAMERA_AXES
@@ -37,7 +39,8 @@ def sequence_messages(scenario: Scenario, columns: Mapping[str, NDArray[Any]], c
     sigma_deg = np.stack([columns[f"sigma_{axis}_deg"] for axis in CAMERA_AXES], axis=1)
 
     def header(comment: str) -> Header:
-        return Header(scenario.name, created.removesuffix("+00:00"), comment)
+        object_id = orbit.object_id if isinstance(orbit, MeanElementsOrbit | TabulatedTrajectory) else ""
+        return Header(scenario.name, created.removesuffix("+00:00"), comment, object_id)
 
     files = {"true.aem": aem_text(orbit.clock, t_s, true, header("true attitude at mid-exposure"))}
     if len(t_s) > 1:

@@ -25,6 +25,7 @@ from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
 from simulator.study.statistics import AXES
 from simulator.study.trials.arrow import as_array, read_columns
 from simulator.study.trials.columns import Columns
+from startracker import files
 from startracker.display import fields_repr
 from startracker.errors import InputError
 
@@ -176,9 +177,10 @@ def _trials(file: Path, *more: str) -> pa.Table:
 
 
 def _json(file: Path) -> dict[str, Any]:
+    text = files.read_text(file, files.RESULT_BYTES, "give the folder of a study")
     try:
-        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        found: dict[str, Any] = json.loads(text)
+    except ValueError as error:
         raise InputError(f"{file}: cannot be read ({error})") from error
     return found
 

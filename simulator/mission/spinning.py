@@ -1,0 +1,103 @@
+"""Attitudes of a spinning spacecraft as messages state them: phase and rate of the spin, and the cone of its axis.
+
+At each epoch the spin axis, +z of the body, has right ascension α and declination δ, and the body is at phase ψ about
+it: successive rotations of the axes by 90° + α about z, 90° − δ about x and ψ about z (CCSDS 504.0-B-2, annex F). With
+nutation the spin axis itself moves, at a constant rate, on a cone about the angular momentum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from startracker.arrays import FloatArray
+from startracker.errors import InputError
+
+_LARGEST_DIFFERENCE_DEG = 170.0
+
+
+@dataclass(frozen=True, eq=False)
+class SpinningStates:
+    """Attitudes between states of a spinning body.
+
+    The motion by the rates of the state before, forwards, and of the state after, backwards, are averaged by a rotation
+    at a constant rate, with weights that go from one to the other. For constant rates that is the motion itself, at
+    any number of revolutions between two states."""
+
+    t_s: FloatArray
+    """(N,): Ascending times."""
+    quaternions: FloatArray
+    """(N, 4): Of the states, scalar last."""
+    spin_rad_s: FloatArray
+    """(N,): Rate about +z of the body."""
+    momentum: FloatArray
+    """(N, 3): Axis of the cone, in the axes from which the quaternions start."""
+    cone_rad_s: FloatArray
+    """(N,): Rate of the spin axis about it."""
+    reverse: bool = False
+    """Whether the quaternions that are asked for lead the other way."""
+
+    def __call__(self, t_s: FloatArray) -> FloatArray:
+        """Unit quaternions (T, 4) at times (T,)."""
+        if not len(t_s):
+            return np.empty((0, 4))
+        last = max(len(self.t_s) - 2, 0)
+        before = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, last)
+        after = np.minimum(before + 1, len(self.t_s) - 1)
+        step_s = np.where(after > before, self.t_s[after] - self.t_s[before], 1.0)
+        share = np.clip((t_s - self.t_s[before]) / step_s, 0.0, 1.0)
+        first = self._moved(before, t_s)
+        between = (first.inv() * self._moved(after, t_s)).as_rotvec()
+        found = first * Rotation.from_rotvec(share[:, None] * between)
+        return np.asarray((found.inv() if self.reverse else found).as_quat())
+
+    def _moved(self, rows: np.ndarray, t_s: FloatArray) -> Rotation:
+        """Attitudes (T,) at times (T,) by the motion from states `rows` (T,)."""
+        since = (t_s - self.t_s[rows])[:, None]
+        about_z = np.zeros((len(rows), 3))
+        about_z[:, 2] = self.spin_rad_s[rows]
+        cone = Rotation.from_rotvec(since * self.cone_rad_s[rows, None] * self.momentum[rows])
+        return cone * Rotation.from_quat(self.quaternions[rows]) * Rotation.from_rotvec(since * about_z)
+
+    def check(self, positions: Sequence[str]) -> None:
+        """Raise `InputError`, with its position, for a state that contradicts the motion from the state before."""
+        rows = np.arange(len(self.t_s) - 1)
+        predicted = self._moved(rows, self.t_s[1:])
+        off_deg = np.degrees((predicted.inv() * Rotation.from_quat(self.quaternions[1:])).magnitude())
+        if (wrong := np.flatnonzero(off_deg > _LARGEST_DIFFERENCE_DEG)).size:
+            raise InputError(
+                f"{positions[wrong[0] + 1]}: {off_deg[wrong[0]]:.0f}° from the attitude that the state before and its "
+                "rate of spin give; give states at shorter steps, or more decimals of the rate"
+            )
+
+
+def spinning(t_s: FloatArray, columns: dict[str, FloatArray], *, reverse: bool) -> SpinningStates:
+    """Attitudes of states.
+
+    Parameters
+    ----------
+    t_s : array, shape (N,)
+        Ascending times.
+    columns : dict of (N,) arrays
+        By keyword: SPIN_ALPHA, SPIN_DELTA, SPIN_ANGLE and SPIN_ANGLE_VEL; with nutation also NUTATION, NUTATION_PER
+        and NUTATION_PHASE, or MOMENTUM_ALPHA, MOMENTUM_DELTA and NUTATION_VEL. Degrees and seconds.
+    reverse : bool
+        Whether the quaternions are wanted in the other direction.
+    """
+    angles = np.stack([90.0 + columns["SPIN_ALPHA"], 90.0 - columns["SPIN_DELTA"], columns["SPIN_ANGLE"]], axis=1)
+    attitude = Rotation.from_euler("ZXZ", angles, degrees=True)
+    momentum, cone_rad_s = attitude.apply([0.0, 0.0, 1.0]), np.zeros(len(t_s))
+    if "NUTATION" in columns:
+        cone, phase = np.radians(columns["NUTATION"]), np.radians(columns["NUTATION_PHASE"])
+        in_body = [np.sin(cone) * np.cos(phase), -np.sin(cone) * np.sin(phase), np.cos(cone)]
+        momentum = attitude.apply(np.stack(in_body, axis=1))
+        cone_rad_s = 2.0 * np.pi / columns["NUTATION_PER"]
+    elif "MOMENTUM_ALPHA" in columns:
+        ra, dec = np.radians(columns["MOMENTUM_ALPHA"]), np.radians(columns["MOMENTUM_DELTA"])
+        momentum = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+        cone_rad_s = np.radians(columns["NUTATION_VEL"])
+    spin_rad_s = np.radians(columns["SPIN_ANGLE_VEL"])
+    return SpinningStates(t_s, np.asarray(attitude.as_quat()), spin_rad_s, momentum, cone_rad_s, reverse)
