@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulator.checks import as_scenario
 from simulator.live.answers import Error, dump
 from simulator.live.http_connections import timed_protocol
 from simulator.live.loop import MissionLoop
@@ -25,6 +27,7 @@ from simulator.live.stimulator import Stimulator
 from simulator.live.stimulus import Stimulus
 from simulator.live.tcp import LineServer
 from simulator.scenario import Scenario
+from startracker.arguments import of_kind
 from startracker.errors import BoresightError, InputError
 
 if TYPE_CHECKING:
@@ -78,8 +81,9 @@ class LiveServer:
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario; its first frame is made before a client can connect, so that all kernels are compiled.
+    scenario : Scenario or path
+        The scenario, or the name of an included one or of a file; its first frame is made before a client can connect,
+        so that all kernels are compiled.
     options : ServerOptions
         Addresses, access and pace.
 
@@ -90,14 +94,14 @@ class LiveServer:
         served.
     """
 
-    def __init__(self, scenario: Scenario, options: ServerOptions = ServerOptions()) -> None:
+    def __init__(self, scenario: Scenario | str | os.PathLike[str], options: ServerOptions = ServerOptions()) -> None:
         try:
             import starlette  # noqa: F401
             import uvicorn  # noqa: F401
             import websockets  # noqa: F401
         except ImportError as error:
             raise InputError(f"boresight serve needs {error.name}: pip install 'boresight[live]'") from None
-        self.options = options
+        scenario, self.options = as_scenario(scenario), of_kind("options", options, ServerOptions)
         self.access = Access(options.host, options.token, options.origins)
         self._sockets = [_bound(options.host, options.port)]
         if options.tcp_port is not None:
