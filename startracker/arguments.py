@@ -145,6 +145,18 @@ def of_kind(name: str, given: Any, kinds: Any, advice: str = "") -> Any:
     raise InputError(f"{name} must be {_article(names)} {names}{f' ({advice})' if advice else ''}; got {_shown(given)}")
 
 
+def pair(name: str, given: Any) -> tuple[float, float]:
+    """Argument as two finite real numbers.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    one, other = real_array(name, given, (2,)).tolist()
+    return one, other
+
+
 def names_of(given: Any) -> tuple[str, ...]:
     """Argument as names: a sequence of text, and not a single text.
 

@@ -4,11 +4,11 @@ Each callable is called with arguments that are right but for one. The message o
 """
 
 import functools
-import math
 
 import numpy as np
 import pytest
 from public_names import documented
+from wrong_types import faults_of
 
 import simulator
 import startracker
@@ -18,29 +18,7 @@ from startracker.calibration import IdentifiedStars, LensFilter, WidthFilter
 from startracker.centroid.effective_psf import build_effective_psf
 from startracker.detection import find_bad_pixels, mask_pixels
 from startracker.detection.defect_map import DefectMap
-from startracker.errors import BoresightError
 
-WRONG = {
-    "text": "x",
-    "None": None,
-    "number": 5,
-    "negative": -1,
-    "fraction": 0.5,
-    "NaN": math.nan,
-    "infinity": math.inf,
-    "complex": 1 + 2j,
-    "truth": True,
-    "bytes": b"x",
-    "list": [1, 2],
-    "empty": [],
-    "ragged": [[1.0, 2.0], [3.0]],
-    "names": [["a", "b"]],
-    "mapping": {"a": 1},
-    "object": object(),
-    "type": int,
-    "complex array": np.array([[1j, 2.0]]),
-    "text array": np.array(["a"]),
-}
 ATTITUDE = Attitude.from_radec_roll(85.0, -2.0, 123.0)
 CAMERA = Camera.from_fov(15.0, 256, 256)
 IMAGE = np.zeros((256, 256))
@@ -384,21 +362,13 @@ for _name in SETTINGS:
 def test_every_argument_of_a_wrong_type(label, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where "x" is no file
     call, right = CALLS[label]
-    given = {name: value for name, value in right.items() if value is not ...}
-    if label.startswith("startracker.Camera") and "distortion" in given:
-        given["distortion"] = startracker.Distortion()
-    faults = []
-    for name in right:
-        for kind, value in WRONG.items():
-            if kind in (*EXCEPT.get((label, name), ()), *(ACCEPTED_SLOWLY if label in SLOW else ())):
-                continue
-            try:
-                call(**given | {name: value})
-            except BoresightError as error:
-                if not str(error) or (label not in MANY_LINES and "\n" in str(error)):
-                    faults.append(f"{name}={kind}: {str(error)!r} is not one line")
-            except Exception as error:
-                faults.append(f"{name}={kind}: {type(error).__name__}: {str(error)[:90]}")
+    if label.startswith("startracker.Camera") and "distortion" in right:
+        right = right | {"distortion": startracker.Distortion()}
+
+    def without(name):
+        return (*EXCEPT.get((label, name), ()), *(ACCEPTED_SLOWLY if label in SLOW else ()))
+
+    faults = faults_of(call, right, without, many_lines=label in MANY_LINES)
     assert not faults, "\n" + "\n".join(faults)
 
 
@@ -414,8 +384,8 @@ NOTHING_GIVEN = {"startracker.BoresightError", "startracker.InputError", "startr
 """Errors, and what has no arguments."""
 ELSEWHERE = (
     "startracker.fusion.",  # tests/unit/test_fusion_filter.py
-    "simulator.live.stimulator.",  # tests/unit/test_stimulator.py
-    "startracker.identification.integer_solution.",  # tests/unit/test_integer_build.py
+    "simulator.live.stimulator.",  # tests/unit/test_wrong_types_bench.py, as the integer tracker
+    "startracker.identification.integer_solution.",
     "simulator.live.basilisk.",  # only with the package Basilisk
 )
 """Beginnings of names whose arguments other tests check."""
