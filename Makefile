@@ -1,6 +1,8 @@
 # make run    solve the 1995 microsatellite's orbit: environment, installation, statistics, report
 # make test   the tests, in the same environment
 # make test-system    those of C compilers, a browser, servers, notebooks, a cluster and whole studies
+# make test-slow SLICE=2/5    one of five slices, even in duration, of the slow tests; CI runs them in rotation
+# make test-all    all tests, with oracles rebuilt; first names the slow ones that have not passed since their code changed
 # make test-lowest    smoke tests with the lowest versions of the dependencies that pyproject.toml allows
 # make bench    how fast everything is, galsim, photutils and tetra3rs beside it; writes benchmarks/RESULTS.md
 # make bench-identification, make bench-frames    how often the tracker answers, and is right; tetra3rs beside it
@@ -16,7 +18,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: run test test-system test-all test-lowest lint docs docs-outputs dist notebooks clean cluster-demo bench \
+.PHONY: run test test-system test-slow test-all test-lowest lint docs docs-outputs dist notebooks clean cluster-demo bench \
         bench-identification bench-frames readme-results bench-mutation
 run: $(VENV)/.installed
 	$(BIN)/boresight run scenarios/sunsat.yaml --out out/sunsat
@@ -29,10 +31,18 @@ test-system: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m 'system and not slow'
 
 # Python's compiled modules are kept even where the environment says otherwise: each process of a test loads them.
-test test-system test-all: export PYTHONDONTWRITEBYTECODE :=
+test test-system test-slow test-all: export PYTHONDONTWRITEBYTECODE :=
+
+# The slice follows from the number of commits, so that five commits in a row run all slow tests.
+# Durations and the commit go to tests/slow_tests.json, to be committed; CI does not write it.
+RECORD ?= --record-slow
+SLICE ?= $(shell echo $$(($$(git rev-list --count HEAD) % 5 + 1))/5)
+test-slow: $(VENV)/.installed-oracles
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --slow-slice $(SLICE) $(RECORD)
 
 test-all: $(VENV)/.installed-oracles
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m '' --hypothesis-profile=explore
+	$(BIN)/python tests/helpers/slow_tests.py
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m '' --hypothesis-profile=explore --record-slow
 
 # An environment of its own, and kernels compiled by its own numba; old libraries may warn of newer ones.
 LOWEST := .venv-lowest

@@ -7,6 +7,7 @@ is reported with its line, together with all other mistakes of the file.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from simulator.mission.parameters import ATTITUDE_FILES, FILES, AttitudeSource, OrbitParameters
 from simulator.scenario import Scenario
 from simulator.scenario.fields import NameChecks
+from startracker.arguments import of_kind
 from startracker.errors import InputError
 from startracker.registry import lookup
 
@@ -27,7 +29,11 @@ NameCheck = Callable[[Any, Mapping[str, Any]], str | None]
 
 
 def load_scenario(
-    path: str | Path, overrides: Sequence[str] | None = None, *, trials: int | None = None, seed: int | None = None
+    path: str | os.PathLike[str],
+    overrides: Sequence[str] | None = None,
+    *,
+    trials: int | None = None,
+    seed: int | None = None,
 ) -> Scenario:
     """`Scenario.load` with all names checked.
 
@@ -37,6 +43,19 @@ def load_scenario(
         With all mistakes of the file, its bases and the options.
     """
     return Scenario.load(path, overrides or (), seed=seed, trials=trials, names=NAME_CHECKS)
+
+
+def as_scenario(given: Any) -> Scenario:
+    """Argument as a scenario: a `Scenario`, or the name of an included one or of a file, as the commands take it.
+
+    Raises
+    ------
+    InputError
+        For anything else; `ScenarioError` with all mistakes of the file.
+    """
+    if isinstance(given, str | os.PathLike):
+        return load_scenario(given)
+    return of_kind("scenario", given, Scenario, "or the name of one")
 
 
 def _registered(kind: str, module: str, registry: str) -> NameCheck:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from simulator.build import build_detector, build_focal_plane, build_scenes, build_transients, shutter_of
+from simulator.checks import as_scenario
 from simulator.detector.chain import Moment
 from simulator.detector.excess_noise import bunch_e
 from simulator.detector.parameters import TimeTag
@@ -27,8 +29,9 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.randomness import Streams, stream
 from simulator.scenario import Scenario
 from simulator.scene import GivenState, Scene
-from startracker.geometry.attitude import Attitude
-from startracker.interop import is_rotation
+from startracker.arguments import ABOVE_0, of_kind, real_array, real_number, whole_number
+from startracker.errors import InputError
+from startracker.geometry.attitude import Attitude, camera_attitude
 
 _OF_SCENES = ("detector.height", "detector.shutter", "detector.line_time_us")
 """Keys of the detector on which the scenes depend."""
@@ -37,27 +40,41 @@ _OF_READOUT = (
     *("detector.dark_current_e_s", "detector.read_noise_e", "detector.offset_dn", "detector.dsnu", "detector.prnu"),
 )
 """Keys on which the focal plane does not depend."""
+MOST_SEED = 2**63 - 1
+"""Largest seed, and largest index of a trial."""
+_LONGEST_EXPOSURE_S = 1e5
+"""Longest exposure that a caller can ask for, about a day: the path of a star has a sample for every pixel."""
 _LEAST_PRIOR_DEG = 0.1
 """Minimum error of the prior, also if the scenario states no pointing error."""
 
 
 def render(
-    scenario: Scenario, index: int = 0, *, at_s: float | None = None, attitude: Attitude | None = None
+    scenario: Scenario | str | os.PathLike[str],
+    index: int = 0,
+    *,
+    at_s: float | None = None,
+    attitude: Attitude | None = None,
 ) -> tuple[Frame, FrameTruth]:
     """Render one frame of a scenario.
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario; data common to its frames are cached for the next call.
+    scenario : Scenario or path
+        The scenario, or the name of an included one or of a file; data common to its frames are cached for the next
+        call.
     index : int
         Index of the trial, which determines its time, attitude and noise.
     at_s : float, astropy Quantity or astropy Time, optional
         Seconds after the epoch, or a date, instead of the time of the trial.
     attitude : Attitude or scipy Rotation, optional
         True camera attitude instead of that of the trial; the prior then has the random error of the trial.
+
+    Raises
+    ------
+    InputError
+        For invalid names or files in the scenario, or an argument of another type.
     """
-    return _renderer(scenario).frame(index, at_s=at_s, attitude=attitude)
+    return _renderer(as_scenario(scenario)).frame(index, at_s=at_s, attitude=attitude)
 
 
 class Renderer:
@@ -65,8 +82,8 @@ class Renderer:
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario.
+    scenario : Scenario or path
+        The scenario, or the name of an included one or of a file.
     camera_seed : int, optional
         Seed of the camera's own properties and of the noise of its frames, instead of the scenario's: one of several
         cameras under the same sky.
@@ -80,10 +97,16 @@ class Renderer:
     """
 
     def __init__(
-        self, scenario: Scenario, camera_seed: int | None = None, trajectory: Trajectory | None = None
+        self,
+        scenario: Scenario | str | os.PathLike[str],
+        camera_seed: int | None = None,
+        trajectory: Trajectory | None = None,
     ) -> None:
-        self.scenario = scenario
-        self.seed = scenario.seed if camera_seed is None else camera_seed
+        self.scenario = scenario = as_scenario(scenario)
+        seed = scenario.seed if camera_seed is None else camera_seed
+        self.seed = whole_number("camera_seed", seed, least=0, most=MOST_SEED)
+        if not (trajectory is None or (hasattr(trajectory, "clock") and hasattr(trajectory, "state"))):
+            raise InputError(f"trajectory must be a simulator.mission.trajectory.Trajectory; got {trajectory!r}")
         self.exposure_s = scenario.detector.exposure_s
         self.shutter = shutter_of(scenario.detector)
         self._trajectory = trajectory
@@ -132,7 +155,12 @@ class Renderer:
         exposure_s: float | None = None,
     ) -> Scene:
         """Scene of trial `index`; parameters as in `frame`."""
-        duration_s = exposure_s or self.exposure_s
+        index, duration_s = whole_number("index", index, least=0, most=MOST_SEED), self._duration_s(exposure_s)
+        at_s = None if at_s is None else self.scenes.clock.elapsed_s(at_s)
+        attitude = None if attitude is None else camera_attitude("attitude", attitude)
+        if rate_camera_rad_s is not None:
+            rate_camera_rad_s = real_array("rate_camera_rad_s", rate_camera_rad_s, (3,), unit="rad/s")
+        of_kind("jitter", jitter, (JitterMotion, type(None)))
         half_field_rad = self.focal_plane.half_field_rad(duration_s)
         streams = self._streams(index)
         given = GivenState(at_s, attitude, rate_camera_rad_s, jitter)
@@ -140,7 +168,8 @@ class Renderer:
 
     def expose(self, scene: Scene, exposure_s: float | None = None) -> Illumination:
         """Mean photo-electrons of a scene, before the detector."""
-        exposure = Exposure.about(scene.t_s, exposure_s or self.exposure_s, self.shutter)
+        of_kind("scene", scene, Scene, "Renderer.scene makes one")
+        exposure = Exposure.about(scene.t_s, self._duration_s(exposure_s), self.shutter)
         return self.focal_plane.at(scene.t_s).expose(scene, exposure)
 
     def frame(
@@ -159,12 +188,7 @@ class Renderer:
         attitude is given; `jitter`, relative to mid-exposure, replaces that of the trial, and `exposure_s` that of the
         scenario.
         """
-        if at_s is not None:
-            at_s = self.scenes.clock.elapsed_s(at_s)
-        if is_rotation(attitude):
-            attitude = Attitude.from_rotation(attitude)
-        scenario = self.scenario
-        duration_s = exposure_s or self.exposure_s
+        scenario, duration_s = self.scenario, self._duration_s(exposure_s)
         scene = self.scene(
             index,
             at_s=at_s,
@@ -207,6 +231,12 @@ class Renderer:
             mounting_rotation_rad=scene.pointing.mounting_rotation_rad,
         )
         return frame, truth
+
+    def _duration_s(self, exposure_s: float | None) -> float:
+        """Exposure time: as given, or the scenario's."""
+        if exposure_s is None:
+            return self.exposure_s
+        return real_number("exposure_s", exposure_s, unit="s", least=ABOVE_0, most=_LONGEST_EXPOSURE_S)
 
     def _time_tag_error_s(self, index: int) -> float:
         """Error of the stated time of a frame."""

@@ -11,19 +11,21 @@ from numpy.typing import ArrayLike
 
 from startracker import centroid as centroiding
 from startracker import detection as detecting
+from startracker.arguments import ABOVE_0, real_array, real_number, whole_number
 from startracker.arrays import FloatArray
+from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, find_stars
-from startracker.geometry.camera import Camera
+from startracker.geometry.camera import Camera, as_camera
 from startracker.given_centroids import clean_centroids
 from startracker.given_image import GivenImage, given_image
 from startracker.identification.free_scale import FOV_BANDS_DEG
-from startracker.interop import plain
 from startracker.observer import Observer
 from startracker.registry import lookup
+from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import Solution
 from startracker.trace import Step
@@ -89,7 +91,8 @@ def solve_unknown_fov(
     InputError
         For an unknown name or an invalid field of view, parity or size.
     """
-    fov_deg = plain(fov_deg, "deg", "fov_deg")
+    fov_deg = None if fov_deg is None else real_number("fov_deg", fov_deg, unit="deg", finite=False)
+    camera = None if camera is None else as_camera("camera", camera)
     _refuse(fov_deg, fov_error, parity, camera)
     clock = Clock()
     given = given_image(source, observer, None, saturation_dn, gain_e_per_dn)
@@ -106,8 +109,8 @@ def solve_unknown_fov(
         points.flux,
         points.width,
         points.height,
-        catalog,
-        identification or IdentificationSettings(),
+        catalog if isinstance(catalog, str) else as_catalog(catalog),
+        settings_or_default("identification", identification, IdentificationSettings),
         given.observer,
         variance_px2=points.variance_px2,
         rough=camera,
@@ -155,13 +158,13 @@ def _points_of_image(
     clock: Clock,
 ) -> _Points | Solution:
     """Centroids of an image; a solution that says why if it cannot be used."""
-    settings = detection or DetectionSettings()
+    settings = settings_or_default("detection", detection, DetectionSettings)
     found = find_stars(
         given,
         lookup("detectors", detecting.DETECTORS, detector),
         lookup("centroiders", centroiding.METHODS, centroider),
         settings,
-        centroid or CentroidSettings(),
+        settings_or_default("centroid", centroid, CentroidSettings),
         clock,
     )
     if found.status is not None:
@@ -175,9 +178,8 @@ def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera:
     """Raise an InputError for an invalid field of view or parity."""
     if fov_deg is not None and not 0.5 <= fov_deg <= 120.0:
         raise InputError(f"a field of view must be between 0.5° and 120° here; got {fov_deg}°")
-    if not 0.0 < fov_error < 1.0:
-        raise InputError(f"fov_error must be a relative error between 0 and 1; got {fov_error}")
-    if parity not in (None, 1, -1):
+    real_number("fov_error", fov_error, least=ABOVE_0, most=BELOW_1)
+    if parity is not None and whole_number("parity", parity) not in (None, 1, -1):
         raise InputError(f"parity must be 1, -1 or None; got {parity}")
     if camera is not None and fov_deg is not None:
         raise InputError("give a rough camera or a field of view, not both: the camera has its own")
@@ -189,17 +191,18 @@ def _points_of_list(
     """Given centroids, cleaned."""
     if width is None or height is None:
         raise InputError("centroids need both the width and the height of their image")
-    if not (width > 0 and height > 0):
+    width, height = whole_number("width", width), whole_number("height", height)
+    if width < 1 or height < 1:
         raise InputError(f"an image needs a size in pixels; got {width}×{height}")
-    xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, int(width), int(height)))
+    xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, width, height))
     variance = None if variance_px2 is None else _variance_of(xy, source, variance_px2)
-    return _Points(int(width), int(height), xy, signal, variance, (listed_step(np.size(source) // 2, xy, signal),))
+    return _Points(width, height, xy, signal, variance, (listed_step(np.size(source) // 2, xy, signal),))
 
 
 def _variance_of(kept: FloatArray, source: ArrayLike, variance_px2: ArrayLike) -> FloatArray:
     """Variances of the centroids that are left after cleaning, matched by position."""
-    given = np.asarray(variance_px2, dtype=float).reshape(-1)
-    points = np.asarray(source, dtype=float)
+    given = real_array("variance_px2", variance_px2, finite=False).reshape(-1)
+    points = real_array("centroids", source, finite=False)
     if len(given) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(given)} variances")
     if not (np.isfinite(given) & (given > 0.0)).all():

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import real_array
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
@@ -33,9 +34,9 @@ def usable_centroids(
     A star whose flux is not a positive number is taken as the faintest.
     """
     try:
-        points = np.array(plain(xy), dtype=float, order="C")
-        signal = _NO_FLUX if flux is None else np.array(plain(flux), dtype=float).reshape(-1)
-    except (TypeError, ValueError):
+        points = np.array(real_array("centroids", plain(xy), finite=False), order="C")
+        signal = _NO_FLUX if flux is None else real_array("fluxes", plain(flux), finite=False).reshape(-1)
+    except (TypeError, ValueError):  # an InputError is one, and says less
         raise InputError("centroids and fluxes must be numbers: xy with the shape (N, 2), flux with (N,)") from None
     if points.size == 0:
         points = points.reshape(0, 2)
@@ -59,10 +60,7 @@ def stated_variance(sigma_px: ArrayLike | None, given: int, rows: IntArray) -> F
     """
     if sigma_px is None:
         return None
-    try:
-        sigma = np.asarray(sigma_px, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("sigma_px must be numbers: the standard error of each centroid on one axis, pixels") from None
+    sigma = real_array("sigma_px, the standard error of each centroid on one axis,", sigma_px, finite=False)
     if sigma.shape not in ((), (given,)):
         raise InputError(f"there are {given} centroids, but sigma_px has the shape {sigma.shape}")
     if sigma.size and not (sigma.min() > 0.0 and sigma.max() < math.inf):  # NaN, too

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from startracker.arguments import real_number, switch
 from startracker.errors import InputError
 from startracker.observer import Observer, observer_of
 
@@ -55,22 +56,20 @@ def given_image(
     Raises
     ------
     InputError
-        For an observer of another type, or both an observer and a time.
+        For an observer of another type, both an observer and a time, or a saturation or gain that is not a number.
     """
-    if observer is not None and not isinstance(observer, Observer):
-        raise InputError(
-            f"observer must be a startracker.Observer(epoch, velocity_km_s, position_au); got {type(observer).__name__}"
-        )
     observer = observer_of(observer, time)
-    if not hasattr(image, "image") or isinstance(image, np.ndarray):
-        return GivenImage(image, observer, saturation_dn, gain_e_per_dn)
-    return GivenImage(
-        image.image,
-        getattr(image, "observer", None) if observer is None else observer,
-        getattr(image, "saturation_dn", None) if saturation_dn is None else saturation_dn,
-        getattr(image, "gain_e_per_dn", None) if gain_e_per_dn is None else gain_e_per_dn,
-        getattr(image, "exposure_s", None),
-    )
+    exposure_s = None
+    if hasattr(image, "image") and not isinstance(image, np.ndarray):
+        observer = getattr(image, "observer", None) if observer is None else observer
+        saturation_dn = getattr(image, "saturation_dn", None) if saturation_dn is None else saturation_dn
+        gain_e_per_dn = getattr(image, "gain_e_per_dn", None) if gain_e_per_dn is None else gain_e_per_dn
+        image, exposure_s = image.image, getattr(image, "exposure_s", None)
+    if saturation_dn is not None:
+        saturation_dn = real_number("saturation_dn", saturation_dn, finite=False)
+    if gain_e_per_dn is not None:
+        gain_e_per_dn = real_number("gain_e_per_dn", gain_e_per_dn, finite=False)
+    return GivenImage(image, observer, saturation_dn, gain_e_per_dn, exposure_s)
 
 
 def prior_of(image: Any, prior: Any, prior_deg: Any, lost_in_space: bool = False) -> tuple[Any, Any]:
@@ -81,7 +80,7 @@ def prior_of(image: Any, prior: Any, prior_deg: Any, lost_in_space: bool = False
     InputError
         For a prior that is given although the image shall be solved lost in space.
     """
-    if lost_in_space:
+    if switch("lost_in_space", lost_in_space):
         if prior is not None:
             raise InputError("prior and lost_in_space=True exclude each other; omit one of them")
         return None, STATED_PRIOR_DEG

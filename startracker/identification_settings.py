@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Self
 
+from startracker.arguments import ABOVE_0, of_kind, text
 from startracker.display import changed_fields
 from startracker.errors import InputError
-from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
+from startracker.setting_checks import BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
 _LIMITS: dict[str, tuple[float, float]] = {
     "min_stars": (2, math.inf),
@@ -95,6 +96,7 @@ class IdentificationSettings:
         InputError
             For settings of another method.
         """
+        of_kind("settings", settings, (IdentificationSettings, type(None)))
         if isinstance(settings, cls):
             return settings
         made: Self = _converted(cls, settings)  # type: ignore[arg-type]  # a class is hashable
@@ -262,7 +264,8 @@ def settings_of(identifier: str, settings: IdentificationSettings | None) -> Ide
     InputError
         For settings of another method.
     """
-    kind = SETTINGS.get(identifier)
+    of_kind("identification", settings, (IdentificationSettings, type(None)))
+    kind = SETTINGS.get(text("identifier", identifier))
     return kind.of(settings) if kind else settings or AnyIdentificationSettings()
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from startracker.arguments import of_kind, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.display import described
@@ -53,12 +54,10 @@ class Observer:
     position_au: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        try:
-            epoch = float(julian_year(self.epoch_jyear))
-        except (TypeError, ValueError):
-            raise InputError(
-                f"epoch_jyear is {self.epoch_jyear!r}; it must be a number of years or an astropy Time"
-            ) from None
+        given = julian_year(self.epoch_jyear)
+        if is_time(given):
+            raise InputError("epoch_jyear must be a number of years or an astropy Time of one instant")
+        epoch = real_number("epoch_jyear", given, what="a number of years or an astropy Time", finite=False)
         if not abs(epoch - 2000.0) <= _LONGEST_YEARS:
             raise InputError(f"epoch_jyear is {epoch:g}; it must be a Julian year within {_LONGEST_YEARS} of 2000")
         object.__setattr__(self, "epoch_jyear", epoch)
@@ -123,10 +122,7 @@ class Observer:
         given = plain(getattr(self, name), {"km/s": "km/s", "au": "AU"}[unit], name)
         if given is None:
             return
-        try:
-            vector = np.array(given, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(f"{name} must be three numbers, {unit}; got {given!r}") from None
+        vector = real_array(f"{name}, three numbers in {unit},", given, finite=False).copy()
         if vector.shape != (3,):
             raise InputError(f"{name} must be three numbers, {unit}; got the shape {vector.shape}")
         length = math.hypot(*vector.tolist())  # no square overflows
@@ -191,6 +187,9 @@ def observer_of(observer: Observer | None, time: Any) -> Observer | None:
     InputError
         If both are given, as an observer has an epoch.
     """
+    of_kind(
+        "observer", observer, (Observer, type(None)), "startracker.Observer(epoch_jyear, velocity_km_s, position_au)"
+    )
     if time is None:
         return observer
     if observer is not None:

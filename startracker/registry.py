@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import TypeVar
 
+from startracker.arguments import text
 from startracker.errors import InputError
 
 T = TypeVar("T")
@@ -30,6 +31,7 @@ def lookup(kind: str, methods: Mapping[str, T], name: str) -> T:
     InputError
         For an unknown name; the message lists the known ones.
     """
+    text(f"the name of one of the {kind}", name)
     if name in methods:
         return methods[name]
     offered = {entry.name: entry for entry in entry_points(group=f"boresight.{kind}")}

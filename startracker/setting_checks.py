@@ -2,30 +2,59 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import Any
+from numbers import Integral, Real
+from typing import Any, TypeVar
 
+import numpy as np
+
+from startracker.arguments import ABOVE_0, of_kind, switch, text
 from startracker.errors import InputError
 
+T = TypeVar("T")
 FORBID = {"extra": "forbid"}  # read by pydantic, which this package does not import
 
-ABOVE_0, BELOW_1 = math.ulp(0.0), math.nextafter(1.0, 0.0)
+BELOW_1 = math.nextafter(1.0, 0.0)
 POSITIVE, COUNT, FROM_0 = (ABOVE_0, math.inf), (1, math.inf), (0.0, math.inf)
 
 
+def settings_or_default(name: str, given: T | None, kind: type[T]) -> T:
+    """Argument as settings of a class; its defaults for None.
+
+    Raises
+    ------
+    InputError
+        For anything else, such as a mapping or the settings of another stage.
+    """
+    return kind() if given is None else of_kind(name, given, kind)
+
+
 def check_settings(settings: Any, **limits: tuple[float, float]) -> None:
-    """Check that settings are numbers within their limits (inclusive); None is accepted.
+    """Check the values of a dataclass by the types of its fields, and numbers by their limits (inclusive).
+
+    None is accepted where the type permits it.
 
     Raises
     ------
     InputError
         With the setting's name, its value and its limits.
     """
-    for name, (least, most) in limits.items():
-        value = getattr(settings, name)
-        if value is None:
+    for field in dataclasses.fields(settings):
+        name, kind, value = field.name, str(field.type), getattr(settings, field.name)
+        if value is None and "None" in kind:
             continue
-        good = isinstance(value, (int, float)) or (hasattr(value, "dtype") and value.dtype.kind in "iuf")
-        if not (good and least <= value <= most):
-            within = f"at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
-            raise InputError(f"{name} is {value!r}; it must be a number {within}")
+        if kind == "bool":
+            switch(name, value)
+        elif kind.startswith("str"):
+            text(name, value)
+        elif name in limits:
+            _check_number(name, value, *limits[name], whole=kind.startswith("int"))
+
+
+def _check_number(name: str, value: Any, least: float, most: float, *, whole: bool) -> None:
+    good = isinstance(value, Integral if whole else Real) and not isinstance(value, bool | np.bool_)
+    if not (good and least <= value <= most):
+        within = f"at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
+        number = "number" if good or not whole else "whole number"
+        raise InputError(f"{name} is {value!r}; it must be a {number} {within}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from startracker.arguments import ABOVE_0, names_of
 from startracker.display import changed_fields
 from startracker.errors import InputError
 from startracker.identification_settings import (
@@ -20,7 +21,7 @@ from startracker.identification_settings import (
     PyramidSettings,
     TriadSettings,
 )
-from startracker.setting_checks import ABOVE_0, BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
+from startracker.setting_checks import BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
 __all__ = [
     "AdaptiveSettings",
@@ -298,7 +299,7 @@ class InFlightSettings:
     __repr__ = changed_fields
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.parameters if name not in _LENS_PARAMETERS]
+        unknown = [name for name in names_of(self.parameters) if name not in _LENS_PARAMETERS]
         if unknown or len(set(self.parameters)) != len(self.parameters):
             raise InputError(
                 f"parameters is {list(self.parameters)}; it must name some of {', '.join(_LENS_PARAMETERS)}, each once"

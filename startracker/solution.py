@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import of_kind, real_array
 from startracker.arrays import FloatArray
 from startracker.bodies import NO_BODIES, SeenBodies
 from startracker.constants import ARCSEC_RAD
@@ -17,7 +18,7 @@ from startracker.display import angle_text, described, html_card, quantity_range
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.geometry.camera import Camera
-from startracker.interop import is_skycoord, plain
+from startracker.interop import is_skycoord
 from startracker.observer import Observer, aberrate, corrects_aberration
 from startracker.trace import Step
 
@@ -324,8 +325,14 @@ class Solution:
             ra_deg, dec_deg = ra_deg.icrs.ra, ra_deg.icrs.dec
         if dec_deg is None:
             raise InputError("pixel_of needs right ascension and declination, degrees, or an astropy SkyCoord")
-        ra_deg, dec_deg = plain(ra_deg, "deg", "ra_deg"), plain(dec_deg, "deg", "dec_deg")
-        ra, dec = np.broadcast_arrays(np.atleast_1d(np.radians(ra_deg)), np.atleast_1d(np.radians(dec_deg)))
+        ra_deg = np.atleast_1d(real_array("ra_deg", ra_deg, unit="deg", finite=False))
+        dec_deg = np.atleast_1d(real_array("dec_deg", dec_deg, unit="deg", finite=False))
+        try:
+            given = np.stack(np.broadcast_arrays(ra_deg, dec_deg))
+        except ValueError:
+            shapes = f"{ra_deg.shape} and {dec_deg.shape}"
+            raise InputError(f"right ascensions and declinations must have the same shape; got {shapes}") from None
+        ra, dec = np.radians(np.where(np.isfinite(given), given, np.nan))
         seen = radec_to_direction(ra.ravel(), dec.ravel())
         velocity = self._velocity_km_s(observer)
         if velocity is not None:
@@ -338,6 +345,7 @@ class Solution:
         return pixels
 
     def _velocity_km_s(self, observer: Observer | None) -> FloatArray | None:
+        of_kind("observer", observer, (Observer, type(None)))
         given = observer if observer is not None else self.observer
         return given.velocity_km_s if given is not None else None
 
@@ -348,7 +356,7 @@ class Solution:
 
 
 def _two_columns(values: ArrayLike, what: str) -> FloatArray:
-    table = np.atleast_2d(np.asarray(values, dtype=float))
+    table = np.atleast_2d(real_array(what, values, finite=False))
     if table.ndim != 2 or table.shape[1] != 2:
         raise InputError(f"{what} must have the shape (N, 2), columns x and y; got {np.shape(values)}")
     return table

@@ -12,15 +12,25 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.detection.defects import mask_extremes
 from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.display import fields_repr
+from startracker.errors import InputError
 
 SATURATED_SHARE = 0.05
 """Fraction of saturated pixels above which an unsolved image gets the status `saturated`."""
 
 
 def plain(values: ArrayLike) -> NDArray[Any]:
-    """A masked array (`numpy.ma`) with NaN where it is masked; anything else unchanged."""
+    """A masked array (`numpy.ma`) with NaN where it is masked; anything else unchanged.
+
+    Raises
+    ------
+    InputError
+        For rows of different lengths.
+    """
     if not isinstance(values, np.ma.MaskedArray):
-        return np.asarray(values)
+        try:
+            return np.asarray(values)
+        except ValueError as error:
+            raise InputError(f"not an array of numbers: {' '.join(str(error).split())}") from None
     if values.dtype.kind not in "buif" or not np.ma.is_masked(values):
         return np.asarray(values.data)
     kind = np.float64 if values.dtype.itemsize > 2 else np.float32  # which represent every value exactly

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,8 +16,9 @@ from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
+from startracker.arguments import real_number
 from startracker.arrays import FloatArray, IntArray, filled
-from startracker.catalog import load_catalog
+from startracker.catalog import as_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.display import described
@@ -25,7 +27,7 @@ from startracker.explain import attitude_steps, hints, identification_steps, lis
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.geometry.attitude import Attitude
-from startracker.geometry.camera import Camera
+from startracker.geometry.camera import Camera, as_camera
 from startracker.given_centroids import stated_variance, usable_centroids
 from startracker.given_image import given_image, prior_of
 from startracker.identification.acceptance import is_beyond_doubt
@@ -38,6 +40,7 @@ from startracker.records import changed, made
 from startracker.refine import Measured, Refined
 from startracker.refine_stars import refine_stars
 from startracker.registry import lookup
+from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.survey import SATURATED_SHARE, says_saturated
@@ -55,8 +58,8 @@ class StarTracker:
 
     Parameters
     ----------
-    camera : Camera
-        Calibrated camera.
+    camera : Camera or path
+        Calibrated camera, or the name of its file, as for ``boresight solve --camera``.
     catalog : str or StarCatalog
         Name (``hipparcos``, ``bsc5``) or a user-defined table.
     magnitude_limit : float
@@ -76,12 +79,12 @@ class StarTracker:
     Raises
     ------
     InputError
-        For an unknown name, settings of another identifier, or a magnitude limit that leaves no stars.
+        For an unknown name, settings of another stage or identifier, or a magnitude limit that leaves no stars.
     """
 
     def __init__(
         self,
-        camera: Camera,
+        camera: Camera | str | os.PathLike[str],
         catalog: str | StarCatalog = "hipparcos",
         magnitude_limit: float = 6.0,
         detector: str = "components",
@@ -94,21 +97,19 @@ class StarTracker:
         identification: IdentificationSettings | None = None,
         focal_error: float = 0.0,
     ) -> None:
-        if not 0.0 <= focal_error < 1.0:
-            raise InputError(f"focal_error must be a relative error from 0 to below 1; got {focal_error}")
-        self.camera = camera
-        self.focal_error = focal_error
+        self.camera = as_camera("camera", camera)
+        self.focal_error = real_number("focal_error", focal_error, least=0.0, most=BELOW_1)
         self.catalog = catalog
         self.methods = detector, centroider, identifier, estimator
-        self.detection = detection or DetectionSettings()
-        self.centroid = centroid or CentroidSettings()
+        self.detection = settings_or_default("detection", detection, DetectionSettings)
+        self.centroid = settings_or_default("centroid", centroid, CentroidSettings)
         self.identification = settings_of(identifier, identification)
         self._detect = lookup("detectors", detecting.DETECTORS, detector)
         self._measure = lookup("centroiders", centroiding.METHODS, centroider)
         self._identify = lookup("identifiers", identifying.METHODS, identifier)
         self._estimate = lookup("estimators", estimating.METHODS, estimator)
-        table = load_catalog(catalog) if isinstance(catalog, str) else catalog
-        self.guide = GuideDatabase.build(table, camera, magnitude_limit, self.identification)
+        faintest = real_number("magnitude_limit", magnitude_limit, finite=False)
+        self.guide = GuideDatabase.build(as_catalog(catalog), self.camera, faintest, self.identification)
 
     def __repr__(self) -> str:
         stars = f"{len(self.guide):,} guide stars of {self.guide.catalog.name} to V {self.guide.v_mag[-1]:.1f}"

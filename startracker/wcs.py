@@ -26,10 +26,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq
 
+from startracker.arguments import of_kind, real_array, text
 from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD, SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
-from startracker.geometry.attitude import Attitude, matrix_to_quat
+from startracker.geometry.attitude import Attitude, camera_attitude, matrix_to_quat
 from startracker.geometry.camera import Camera
 from startracker.observer import aberrate
 
@@ -92,6 +93,12 @@ def wcs_header(
         If the distortion is so strong that the error of order 13 is above 1″ or 0.05 px, whichever is larger, or that
         part of the image has no direction.
     """
+    of_kind("camera", camera, Camera)
+    attitude = camera_attitude("attitude", attitude)
+    if text("form", form) not in ("astrometric", "apparent"):
+        raise InputError(f"form must be astrometric or apparent; got {form!r}")
+    if velocity_km_s is not None:
+        velocity_km_s = real_array("velocity_km_s", velocity_km_s, (3,), unit="km/s")
     scale: float = 1.0
     rays: Rays | None = None
     if velocity_km_s is not None and form == "astrometric":

@@ -4,6 +4,7 @@ import gc
 import os
 
 import pytest
+import slow_tests
 from hypothesis import settings
 from undrawn import undrawn
 
@@ -14,6 +15,57 @@ from simulator.study.report import drawing
 settings.register_profile("repeat", derandomize=True, max_examples=60, deadline=None)
 settings.register_profile("explore", max_examples=400, deadline=None)
 settings.load_profile("repeat")
+
+
+def pytest_addoption(parser):
+    group = parser.getgroup("slow tests")
+    group.addoption("--slow-slice", metavar="K/N", help="run slice K of N of the slow tests, even in duration")
+    group.addoption("--record-slow", action="store_true", help="write durations of slow tests and the commit")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Keep one slice of the slow tests."""
+    wanted = config.getoption("--slow-slice")
+    if wanted is None:
+        return
+    try:
+        number, count = slow_tests.parse_slice(wanted)
+    except ValueError as error:
+        raise pytest.UsageError(str(error)) from None
+    slow = [item.nodeid for item in items if item.get_closest_marker("slow")]
+    chosen = slow_tests.slice_of(slow, slow_tests.read_records(), number, count)
+    others = [item for item in items if item.nodeid in set(slow) - chosen]
+    config.hook.pytest_deselected(items=others)
+    items[:] = [item for item in items if item.nodeid not in set(slow) - chosen]
+
+
+def pytest_configure(config):
+    if config.getoption("--record-slow") and not hasattr(config, "workerinput"):  # once, not by each worker
+        config.pluginmanager.register(SlowRecorder(), "slow recorder")
+
+
+class SlowRecorder:
+    """Writes how long each slow test took and the commit at which it passed."""
+
+    def __init__(self):
+        self.seconds, self.failed = {}, set()
+
+    def pytest_runtest_logreport(self, report):
+        if "slow" in report.keywords and not report.skipped:
+            self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+            if report.failed:
+                self.failed.add(report.nodeid)
+
+    def pytest_sessionfinish(self):
+        records, commit = slow_tests.read_records(), slow_tests.clean_commit()
+        for name, seconds in self.seconds.items():
+            record = records.setdefault(name, {})
+            record["seconds"] = round(seconds, 1)
+            if name not in self.failed and commit:
+                record["passed"] = commit
+        if self.seconds:
+            slow_tests.write_records(records)
 
 
 @pytest.hookimpl(wrapper=True)

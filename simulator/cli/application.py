@@ -27,6 +27,7 @@ from simulator.cli.requests import (
     SweepRequest,
 )
 from simulator.cli.stimulate_command import stimulate_app
+from simulator.cli.streams import OutputError, flush_output, output_failed, say
 from simulator.cli.study_command import study_app
 from simulator.cli.suggesting import SuggestingGroup, usage_error_line
 from startracker._version import __version__
@@ -168,17 +169,25 @@ def _warnings_in_one_line() -> Iterator[None]:
 def run_application(arguments: list[str]) -> int:
     """Run a command and return its exit status; a user's mistake is one line on standard error and status 2."""
     try:
+        status = _status(arguments)
+        flush_output()  # also after a mistake: what was printed before it may not fit on the device
+        return status
+    except OutputError as error:
+        return output_failed(error.cause)
+    except OSError as error:
+        return output_failed(error)
+
+
+def _status(arguments: list[str]) -> int:
+    """Exit status of a command, with one line on standard error for a mistake."""
+    try:
         code: Any = app(args=arguments, prog_name="boresight", standalone_mode=False)
-        sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except typer.TyperException as error:  # a wrong option or argument
-        print(usage_error_line(error), file=sys.stderr)
+        say(usage_error_line(error))
         return 2
     except BoresightError as error:
-        print(error, file=sys.stderr)
+        say(error)
         return 2
     except typer.Abort:  # an interrupt that no command handled
         raise KeyboardInterrupt from None
-    except BrokenPipeError:  # the reader of our output has gone, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141

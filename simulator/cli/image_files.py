@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from simulator.cli.streams import is_terminal
 from simulator.paths import make_folder
 from startracker.errors import InputError
 from startracker.files import IMAGE_BYTES, check_file, read_stream
@@ -32,16 +33,22 @@ def spooled(paths: Sequence[Path], folder: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If ``-`` is named twice, or standard input is a terminal.
+        If ``-`` is named twice, or standard input is a terminal, is closed or cannot be read.
     """
     paths = [sample_photo() if path == Path("sample") and not path.exists() else path for path in paths]
     if paths.count(Path("-")) > 1:
         raise InputError("-: standard input can be read only once")
     if Path("-") not in paths:
         return paths
-    if sys.stdin.isatty():
-        raise InputError("-: standard input is a terminal; send an image to it, for example: boresight solve - < a.jpg")
-    data = read_stream(sys.stdin.buffer, IMAGE_BYTES, "-: standard input", "send an image to it")
+    advice = "send an image to it, for example: boresight solve - < a.jpg"
+    if sys.stdin is None or sys.stdin.closed:
+        raise InputError(f"-: standard input is closed; {advice}")
+    if is_terminal(sys.stdin):
+        raise InputError(f"-: standard input is a terminal; {advice}")
+    try:
+        data = read_stream(sys.stdin.buffer, IMAGE_BYTES, "-: standard input", advice)
+    except OSError as error:
+        raise InputError(f"-: standard input cannot be read ({error.strerror or error}); {advice}") from error
     file = folder / ("standard-input.fits" if data.startswith(b"SIMPLE  =") else "standard-input")
     file.write_bytes(data)
     return [file if path == Path("-") else path for path in paths]

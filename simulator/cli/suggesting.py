@@ -11,6 +11,8 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from simulator.cli.streams import OutputError
+
 _ORDER = ("run", "render", "sweep", "study", "solve", "calibrate", "report", "compare", "validate", "show", "schema")
 """Of the commands in help; others follow as they were registered."""
 
@@ -25,12 +27,12 @@ class SuggestingGroup(TyperGroup):
 
     def make_context(self, *arguments: Any, **more: Any) -> Any:
         """Read the arguments."""
-        with _interrupt_as_abort():
+        with _not_typers_own_exit():
             return super().make_context(*arguments, **more)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
-        with _interrupt_as_abort():
+        with _not_typers_own_exit():
             return super().invoke(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -44,12 +46,21 @@ class SuggestingGroup(TyperGroup):
 
 
 @contextlib.contextmanager
-def _interrupt_as_abort() -> Iterator[None]:
-    """Ctrl-C as `typer.Abort`, which reaches the caller; typer itself makes a silent exit of it."""
+def _not_typers_own_exit() -> Iterator[None]:
+    """Ctrl-C as `typer.Abort` and errors of the system as `OutputError`, which reach the caller.
+
+    typer and rich themselves make a silent exit of an interrupt and of a closed pipe.
+    """
     try:
         yield
     except KeyboardInterrupt:
         raise typer.Abort from None
+    except OSError as error:
+        raise OutputError(error) from error
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # from rich.console.Console.on_broken_pipe
+            raise OutputError(end.__context__) from end
+        raise
 
 
 def _plain_number(match: re.Match[str]) -> str:

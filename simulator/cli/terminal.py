@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Self
 
+from simulator.cli.streams import as_written, is_terminal
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
@@ -17,7 +19,7 @@ def open_console(width: int = 110, *, error: bool = False) -> Console:
     """Console for tables, `width` columns wide where the output is no terminal; with `error` that for progress."""
     from rich.console import Console
 
-    return Console(stderr=error, highlight=False, width=None if sys.stdout.isatty() or error else width)
+    return Console(stderr=error, highlight=False, width=None if is_terminal(sys.stdout) or error else width)
 
 
 def axis_title(axis: str) -> str:
@@ -41,7 +43,7 @@ def print_table(
     for n, heading in enumerate(headings):
         table.add_column(heading, justify="left" if n < words else "right")
     for n, row in enumerate(rows, start=1):
-        table.add_row(*row, end_section=n == block)
+        table.add_row(*(as_written(cell, console.encoding) for cell in row), end_section=n == block)
     console.print(table)
 
 

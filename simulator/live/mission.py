@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 import numpy as np
 
+from simulator.checks import as_scenario
 from simulator.environment.transients import Transients
 from simulator.live.answers import Parameter
 from simulator.live.motion import Given, ScenarioMotion, turned_on
@@ -64,8 +66,8 @@ class LiveMission:
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario, with its ``sequence`` section.
+    scenario : Scenario or path
+        The scenario, with its ``sequence`` section, or the name of an included one or of a file.
 
     Raises
     ------
@@ -73,7 +75,8 @@ class LiveMission:
         For several heads or a gyro, which live missions do not have, or invalid names or files in the scenario.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario | str | os.PathLike[str]) -> None:
+        scenario = as_scenario(scenario)
         for path, used in (("heads", bool(scenario.heads)), ("sequence.gyro.use", scenario.sequence.gyro.use)):
             if used:
                 raise InputError(f"{path}: a live mission has one camera and no gyro; use boresight run --sequence")

@@ -9,9 +9,10 @@ from urllib.parse import urlsplit
 
 from startracker.errors import InputError
 
-__all__ = ["Access", "TokenBucket", "is_loopback"]
+__all__ = ["Access", "TokenBucket", "is_host", "is_loopback"]
 
 _LOCAL = ("localhost",)
+_SPACE = set(" \t\\")
 
 
 def is_loopback(host: str) -> bool:
@@ -20,6 +21,24 @@ def is_loopback(host: str) -> bool:
         return True
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def is_host(host: str) -> bool:
+    """Whether the header ``Host`` of a request is a name or an address, with or without a port, or empty."""
+    try:
+        parts = urlsplit(f"//{host}")
+        plain = host.isascii() and not set(host) & _SPACE
+        return plain and parts.netloc == host and parts.username is None and (parts.port or 0) >= 0
+    except ValueError:  # brackets that do not match, or a port that is not a number
+        return False
+
+
+def _is_origin(origin: str) -> bool:
+    try:
+        parts = urlsplit(origin)
+        return bool(parts.scheme and parts.hostname)
     except ValueError:
         return False
 
@@ -47,13 +66,13 @@ class Access:
         if not self.loopback and not token:
             raise InputError(f"--host {host}: other machines may connect; give a --token or BORESIGHT_TOKEN")
         for origin in origins:
-            if not urlsplit(origin).scheme or not urlsplit(origin).netloc:
+            if not _is_origin(origin):
                 raise InputError(f"--origin {origin}: must look like https://example.org or http://localhost:8080")
         self._token, self._origins = token, {origin.rstrip("/").lower() for origin in origins}
 
     def has_token(self, given: str) -> bool:
         """Whether a client may enter with this token; any, if the server has none."""
-        return not self._token or hmac.compare_digest(given.encode(), self._token.encode())
+        return not self._token or hmac.compare_digest(_bytes(given), _bytes(self._token))
 
     def refuses_host(self, host: str) -> bool:
         """Whether a request is for another name than this server's: a page elsewhere whose name was redirected here."""
@@ -66,6 +85,11 @@ class Access:
             return False
         given = origin.rstrip("/").lower()
         return given not in self._origins and given not in {f"http://{host.lower()}", f"https://{host.lower()}"}
+
+
+def _bytes(token: str) -> bytes:
+    """A token as bytes; JSON may contain half of a surrogate pair, which UTF-8 does not have."""
+    return token.encode("utf-8", "surrogatepass")
 
 
 class TokenBucket:

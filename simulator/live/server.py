@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -14,16 +15,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from simulator.checks import as_scenario
 from simulator.live.answers import Error, dump
+from simulator.live.http_connections import timed_protocol
 from simulator.live.loop import MissionLoop
 from simulator.live.mission import LiveMission
 from simulator.live.protocol import LARGEST_MESSAGE_BYTES
-from simulator.live.security import Access
-from simulator.live.session import Session, SessionEnded
+from simulator.live.security import Access, is_host
+from simulator.live.session import HELLO_S, Session, SessionEnded, no_hello
 from simulator.live.stimulator import Stimulator
 from simulator.live.stimulus import Stimulus
 from simulator.live.tcp import LineServer
 from simulator.scenario import Scenario
+from startracker.arguments import of_kind
 from startracker.errors import BoresightError, InputError
 
 if TYPE_CHECKING:
@@ -77,8 +81,9 @@ class LiveServer:
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario; its first frame is made before a client can connect, so that all kernels are compiled.
+    scenario : Scenario or path
+        The scenario, or the name of an included one or of a file; its first frame is made before a client can connect,
+        so that all kernels are compiled.
     options : ServerOptions
         Addresses, access and pace.
 
@@ -89,14 +94,14 @@ class LiveServer:
         served.
     """
 
-    def __init__(self, scenario: Scenario, options: ServerOptions = ServerOptions()) -> None:
+    def __init__(self, scenario: Scenario | str | os.PathLike[str], options: ServerOptions = ServerOptions()) -> None:
         try:
             import starlette  # noqa: F401
             import uvicorn  # noqa: F401
             import websockets  # noqa: F401
         except ImportError as error:
             raise InputError(f"boresight serve needs {error.name}: pip install 'boresight[live]'") from None
-        self.options = options
+        scenario, self.options = as_scenario(scenario), of_kind("options", options, ServerOptions)
         self.access = Access(options.host, options.token, options.origins)
         self._sockets = [_bound(options.host, options.port)]
         if options.tcp_port is not None:
@@ -145,7 +150,7 @@ class LiveServer:
         config = uvicorn.Config(
             self._application(loop),
             loop="asyncio",
-            http="h11",
+            http=timed_protocol(),
             ws="websockets-sansio",
             lifespan="off",
             log_level="error",
@@ -244,18 +249,20 @@ class _Guard:
 
         headers = Headers(scope=scope)
         host, origin = headers.get("host", ""), headers.get("origin")
-        refused = ""
-        if self._access.refuses_host(host):
+        refused, status = "", 403
+        if not is_host(host):
+            refused, status = f"'{host[:100]}' is not the name of a host\n", 400
+        elif self._access.refuses_host(host):
             refused = f"host '{host[:100]}' is not this server\n"
         elif scope["type"] == "websocket" and self._access.refuses_origin(origin, host):
             refused = f"origin '{str(origin)[:100]}' may not connect; start the server with --origin\n"
         if refused:
-            answer = PlainTextResponse(refused, 403)
+            answer = PlainTextResponse(refused, status)
             if scope["type"] == "http":
                 await answer(scope, receive, send)
                 return
             await receive()
-            await send({"type": "websocket.http.response.start", "status": 403, "headers": answer.raw_headers})
+            await send({"type": "websocket.http.response.start", "status": status, "headers": answer.raw_headers})
             await send({"type": "websocket.http.response.body", "body": answer.body})
             return
 
@@ -277,7 +284,13 @@ async def _converse(websocket: WebSocket, loop: MissionLoop, access: Access) -> 
         code, reason = 1000, ""
         try:
             while not sending.done():
-                message = await websocket.receive()
+                try:
+                    async with asyncio.timeout(None if session.greeted else HELLO_S):
+                        message = await websocket.receive()
+                except TimeoutError:
+                    session.subscriber.reply(no_hello())
+                    code, reason = 1008, no_hello().reason
+                    break
                 if message["type"] == "websocket.disconnect":
                     return
                 if message.get("text") is None:

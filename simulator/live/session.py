@@ -10,10 +10,12 @@ from simulator.live.loop import MissionLoop
 from simulator.live.protocol import GivenAttitude, Hello, Refused, Shown, Subscribe, parse
 from simulator.live.security import Access, TokenBucket
 
-__all__ = ["MOST_CLIENTS", "Session", "SessionEnded"]
+__all__ = ["HELLO_S", "MOST_CLIENTS", "Session", "SessionEnded", "no_hello"]
 
 _log = logging.getLogger(__name__)
 
+HELLO_S = 10.0
+"""A client that has not said hello by then is disconnected."""
 MOST_CLIENTS = 32
 """Clients at a time."""
 MESSAGES_PER_S, BURST = 1000.0, 2000.0
@@ -24,6 +26,11 @@ MOST_REFUSED = 50
 
 class SessionEnded(Exception):
     """The client is to be disconnected; the reason is in the last message."""
+
+
+def no_hello() -> Error:
+    """Last message to a client that has not said hello in time."""
+    return Error(code="hello_first", reason=f"no hello within {HELLO_S:g} s; disconnected")
 
 
 class Session:

@@ -11,12 +11,10 @@ from simulator.live.hub import Outgoing
 from simulator.live.loop import MissionLoop
 from simulator.live.protocol import LARGEST_MESSAGE_BYTES
 from simulator.live.security import Access
-from simulator.live.session import Session, SessionEnded
+from simulator.live.session import HELLO_S, Session, SessionEnded, no_hello
 
 __all__ = ["LineServer"]
 
-_HELLO_S = 10.0
-"""A client that has not said hello by then is disconnected."""
 _STALLED_S = 30.0
 """A client that has not taken a message for so long is disconnected."""
 
@@ -71,7 +69,7 @@ class LineServer:
         """Messages until the client ends, or is to be disconnected."""
         while not sending.done():
             try:
-                async with asyncio.timeout(None if session.greeted else _HELLO_S):
+                async with asyncio.timeout(None if session.greeted else HELLO_S):
                     line = await reader.readuntil(b"\n")
             except asyncio.IncompleteReadError:  # its end, perhaps within a line
                 return
@@ -80,9 +78,7 @@ class LineServer:
                 session.subscriber.reply(Error(code="malformed", reason=reason))
                 return
             except TimeoutError:
-                session.subscriber.reply(
-                    Error(code="hello_first", reason=f"no hello within {_HELLO_S:g} s; disconnected")
-                )
+                session.subscriber.reply(no_hello())
                 return
             try:
                 if line.strip():

@@ -8,13 +8,16 @@ from typing import Any, overload
 
 import erfa
 
+from startracker.arguments import real_number
 from startracker.arrays import FloatArray
 from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.errors import InputError
-from startracker.interop import is_time, plain
+from startracker.interop import is_time
 
 SECONDS_PER_DAY = 86_400.0
 FIRST_YEAR_OF_UTC = 1960
+_LONGEST_S = 1e11
+"""Times farther from the epoch, three thousand years, are refused: no ephemeris reaches them."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ class Clock:
         if is_time(time):
             tt = time.tt
             return float(((tt.jd1 - self._tt[0]) + (tt.jd2 - self._tt[1])) * SECONDS_PER_DAY)
-        return float(plain(time, "s", "at_s"))
+        return real_number("at_s", time, unit="s", least=-_LONGEST_S, most=_LONGEST_S)
 
     def utc_jd(self, t_s: float | FloatArray) -> tuple[Any, Any]:
         """Two-part quasi Julian date UTC (ERFA's form: a day with a leap second is one day long)."""

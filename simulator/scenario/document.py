@@ -122,9 +122,6 @@ def show_value(value: Any) -> str:
 
 
 def _parse(text: str, start: Location, problems: list[Problem]) -> Table | Value | None:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import MarkedYAMLError, YAMLError
-
     fixed = start.line == 0  # a command-line option
     if bad := _FORBIDDEN.search(text):
         line, column = text.count("\n", 0, bad.start()) + 1, bad.start() - text.rfind("\n", 0, bad.start())
@@ -132,18 +129,36 @@ def _parse(text: str, start: Location, problems: list[Problem]) -> Table | Value
         problems.append(Problem(location, "", f"invalid YAML: character U+{ord(bad.group()):04X} is not allowed"))
         return None
     try:
-        events = list(YAML(typ="safe", pure=True).parse(text))
+        return _Builder(_events(text, start), start, problems).document()
+    except _StoppedError as stopped:
+        problems.append(stopped.problem)
+        return None
+
+
+class _StoppedError(Exception):
+    """The rest of a document cannot be read, or is not worth reading."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.message)
+        self.problem = problem
+
+
+def _events(text: str, start: Location) -> Iterator[Any]:
+    """The parser's events one after the other, so that a document nested too deeply is refused while it is read: the
+    parser's time grows with the square of the depth."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        yield from YAML(typ="safe", pure=True).parse(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        location = Location(start.source, mark.line + 1, mark.column + 1) if mark and not fixed else start
-        problems.append(Problem(location, "", _syntax_message(str(error.problem or error.context))))
-        return None
+        location = Location(start.source, mark.line + 1, mark.column + 1) if mark and start.line else start
+        raise _StoppedError(Problem(location, "", _syntax_message(str(error.problem or error.context)))) from None
     except (YAMLError, ValueError, IndexError, TypeError, AttributeError, OverflowError) as error:
         # the parser raises internal errors on some malformed directives
         reason = (str(error).splitlines() or ["unreadable"])[0]
-        problems.append(Problem(start, "", f"invalid YAML: {reason}"))
-        return None
-    return _Builder(iter(events), start, problems).document()
+        raise _StoppedError(Problem(start, "", f"invalid YAML: {reason}")) from None
 
 
 def _syntax_message(problem: str) -> str:
@@ -157,7 +172,7 @@ def _syntax_message(problem: str) -> str:
 
 
 class _Builder:
-    """Builds the tree from the parser's events."""
+    """Builds the tree from the parser's events, while these arrive."""
 
     def __init__(self, events: Iterator[Any], start: Location, problems: list[Problem]) -> None:
         self.events, self.start, self.problems = events, start, problems
@@ -227,20 +242,13 @@ class _Builder:
             return Value(REPORTED, location)
         return target[0]
 
-    def too_deep(self, event: Any, depth: int) -> bool:
-        if depth < MAX_DEPTH:
-            return False
-        if depth == MAX_DEPTH:
-            self.report(event, f"nested more than {MAX_DEPTH} levels deep; reduce the nesting")
-        level = 1
-        while level:  # skip the node without recursion
-            kind = type(next(self.events)).__name__
-            level += kind.endswith("StartEvent") - kind.endswith("EndEvent")
-        return True
+    def check_depth(self, event: Any, depth: int) -> None:
+        if depth >= MAX_DEPTH:
+            message = f"nested more than {MAX_DEPTH} levels deep; reduce the nesting"
+            raise _StoppedError(Problem(self.location(event), "", message))
 
     def sequence(self, event: Any, location: Location, depth: int) -> Value:
-        if self.too_deep(event, depth):
-            return Value(REPORTED, location)
+        self.check_depth(event, depth)
         nodes = []
         while type(item := next(self.events)).__name__ != "SequenceEndEvent":
             nodes.append(self.node(item, depth + 1))
@@ -248,9 +256,8 @@ class _Builder:
         return Value(REPORTED if REPORTED in items else items, location, tuple(nodes))
 
     def table(self, event: Any, location: Location, depth: int) -> Table:
+        self.check_depth(event, depth)
         table = Table(location)
-        if self.too_deep(event, depth):
-            return table
         while type(key_event := next(self.events)).__name__ != "MappingEndEvent":
             key_node = self.node(key_event, depth + 1)
             key = getattr(key_event, "value", None)

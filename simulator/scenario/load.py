@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import os
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import PrivateAttr, model_validator
+from pydantic import PrivateAttr, ValidationError, model_validator
 
 from simulator.scenario import heads, physics
 from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, show_value
@@ -34,8 +35,10 @@ from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, r
 from simulator.scenario.overrides import apply_overrides, merge, set_option, set_values
 from simulator.scenario.quantities import as_written
 from simulator.scenario.schema import ScenarioModel
+from startracker.arguments import file_path, names_of, switch
+from startracker.arguments import text as text_of
 from startracker.display import described
-from startracker.errors import InputWarning
+from startracker.errors import InputError, InputWarning
 from startracker.identification_settings import unread_keys
 
 _NOISELESS: dict[str, Any] = {
@@ -107,7 +110,7 @@ class Scenario(ScenarioModel):
     @classmethod
     def load(
         cls,
-        path: str | Path,
+        path: str | os.PathLike[str],
         overrides: Sequence[str] | Mapping[str, Any] = (),
         seed: int | None = None,
         trials: int | None = None,
@@ -133,7 +136,7 @@ class Scenario(ScenarioModel):
         ScenarioError
             With all errors of the file, its bases and the options.
         """
-        file = find_scenario(path)
+        file = find_scenario(file_path("path", path))
         problems: list[Problem] = []
         tree = read_chain(file, str(path) if file == Path(path) else str(file), problems)
         if tree is None:
@@ -153,7 +156,7 @@ class Scenario(ScenarioModel):
     ) -> Scenario:
         """Read a scenario from text; parameters as in `load`. Other files are relative to the working folder."""
         problems: list[Problem] = []
-        tree = parse_document(text, name, problems)
+        tree = parse_document(text_of("text", text), text_of("name", name), problems)
         tree = with_base(tree, name, problems, ()) if tree else None
         if tree is None:
             raise ScenarioError(problems)
@@ -187,7 +190,7 @@ class Scenario(ScenarioModel):
         """Every key with its value as YAML that loads to an equal scenario, with descriptions as comments."""
         from simulator.scenario.output import scenario_yaml
 
-        return scenario_yaml(self, comments)
+        return scenario_yaml(self, switch("comments", comments))
 
     def fingerprint(self) -> str:
         """SHA-256 of all values, in hexadecimal: the same for equal scenarios."""
@@ -223,10 +226,24 @@ class Scenario(ScenarioModel):
 
         Values may be astropy quantities, as in `load`.
         """
+        if not isinstance(values, Mapping) or not all(isinstance(path, str) for path in values):
+            raise InputError(f"values must be a mapping of dotted paths to values; got {values!r}")
         written = {path: as_written(path, value, _KEYS) for path, value in values.items()}
-        scenario = type(self).model_validate(nest(flatten(self) | written))
+        try:
+            scenario = type(self).model_validate(nest(flatten(self) | written))
+        except ValidationError as error:
+            raise ScenarioError(_problems_of(error)) from None
         scenario._path = self._path
         return scenario
+
+
+def _problems_of(error: ValidationError) -> Iterator[Problem]:
+    """Faults that pydantic found, each at its dotted path; those of the whole scenario have a line ``path: fault``."""
+    for fault in error.errors():
+        path, message = ".".join(str(part) for part in fault["loc"]), fault["msg"].removeprefix("Value error, ")
+        for line in message.splitlines():
+            key, _, reason = (path, "", line) if path else line.partition(": ")
+            yield Problem(Location(key, key=key), key, reason)
 
 
 _KEYS: dict[str, Key] = {key.path: key for key in all_keys()}
@@ -246,7 +263,7 @@ def _build(
     if isinstance(overrides, Mapping):
         options = set_values(Table(top), overrides, _KEYS, problems)
     else:
-        options = apply_overrides(Table(top), overrides, problems)
+        options = apply_overrides(Table(top), names_of(overrides), problems)
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)

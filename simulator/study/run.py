@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
+from simulator.checks import as_scenario
 from simulator.scenario import Scenario
 from simulator.study.data_frames import Rows
 from simulator.study.result_files import json_text, now_utc, write_files
+from simulator.study.result_options import check_run_options
 from simulator.study.results_folder import results_folder, standing
 from simulator.study.specification.measured import judge_frames
 from simulator.study.specification.verdicts import Judgement
@@ -25,6 +27,7 @@ from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
 from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
 from startracker._version import __version__
+from startracker.arguments import text, whole_number
 from startracker.display import angle_text, described
 from startracker.errors import BoresightError, InputError
 from startracker.kernels import clock
@@ -95,7 +98,7 @@ class Study(Rows):
 
 
 def run(
-    scenario: Scenario,
+    scenario: Scenario | str | os.PathLike[str],
     trials: int | None = None,
     seed: int | None = None,
     *,
@@ -110,8 +113,8 @@ def run(
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario.
+    scenario : Scenario or path
+        The scenario, or the name of an included one or of a file.
     trials, seed : int, optional
         Replace those of the scenario.
     workers : int
@@ -139,7 +142,10 @@ def run(
     An interrupted run with fewer trials than an earlier one of the same scenario in `out` does not replace its results:
     the study's `folder` is then None, and its trials are kept for the next run.
     """
-    scenario = scenario.with_values(trials=trials, seed=seed)
+    check_run_options(out, progress, resume=resume, force=force)
+    workers = whole_number("workers", workers, least=1)
+    dask = None if dask is None else text("dask", dask)
+    scenario = as_scenario(scenario).with_values(trials=trials, seed=seed)
     holder: contextlib.AbstractContextManager[Path | None] = contextlib.nullcontext()
     if out is not None:
         holder = results_folder(Path(out), run_identity(scenario, scenario.study.trials), resume=resume, force=force)

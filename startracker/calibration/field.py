@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from startracker.arguments import of_kind, real_array, text, whole_number
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
@@ -37,6 +38,11 @@ class StarField:
         Variance of each centroid on one axis; None: all equal.
     observer : Observer, optional
         Epoch, velocity and position. Without it positions at the catalogue's epoch are used.
+
+    Raises
+    ------
+    InputError
+        For an argument of another type or shape.
     """
 
     name: str
@@ -46,6 +52,16 @@ class StarField:
     flux: FloatArray | None = None
     variance_px2: FloatArray | None = None
     observer: Observer | None = None
+
+    def __post_init__(self) -> None:
+        text("name", self.name)
+        object.__setattr__(self, "xy", real_array("xy", self.xy, (None, 2), finite=False))
+        for name in ("width", "height"):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name), least=1))
+        for name in ("flux", "variance_px2"):
+            if (given := getattr(self, name)) is not None:
+                object.__setattr__(self, name, real_array(name, given, (len(self.xy),), finite=False))
+        of_kind("observer", self.observer, (Observer, type(None)))
 
     def __repr__(self) -> str:
         return described("StarField", self.name, f"{len(self.xy)} centroids", f"{self.width}×{self.height} px")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from startracker.arguments import of_kind
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.lens_fit import Matches
 from startracker.solution import Solution
@@ -28,7 +29,8 @@ class IdentifiedStars(Matches):
     @classmethod
     def of(cls, solution: Solution, tracker: StarTracker) -> IdentifiedStars:
         """The fitted stars of a solved frame; where their errors are not known, they are taken from the residuals."""
-        stars, guide = solution.stars.fitted, tracker.guide
+        of_kind("solution", solution, Solution)
+        stars, guide = solution.stars.fitted, of_kind("tracker", tracker, StarTracker).guide
         sigma_px = stars.sigma_px
         if not np.isfinite(sigma_px).all():
             freedom = max(2 * len(stars) - 3, 1)

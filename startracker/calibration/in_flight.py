@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arguments import of_kind, real_number
 from startracker.arrays import FloatArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_filter import LensFilter, LensUpdate
@@ -16,9 +17,10 @@ from startracker.calibration.psf_width import WidthFilter, star_widths
 from startracker.detection.bad_pixels import mask_pixels
 from startracker.detection.defect_map import DefectMap
 from startracker.display import described
-from startracker.geometry.attitude import Attitude
+from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.camera import Camera
 from startracker.given_image import GivenImage
+from startracker.setting_checks import settings_or_default
 from startracker.settings import CentroidSettings, InFlightSettings
 
 
@@ -52,7 +54,7 @@ class InFlightCalibration:
         psf_width_px: float | None = None,
         background_tile_px: int = 64,
     ) -> None:
-        self.settings = chosen = settings or InFlightSettings()
+        self.settings = chosen = settings_or_default("settings", settings, InFlightSettings)
         self.lens = LensFilter(camera, chosen)
         """Estimate of the lens, with its covariance."""
         self.psf = WidthFilter(chosen.psf_width_px, chosen.psf_width_drift_px_sqrt_h / 60.0, psf_width_px)
@@ -92,6 +94,7 @@ class InFlightCalibration:
     def centroiding(self, settings: CentroidSettings) -> CentroidSettings:
         """Settings of the centroiding with the current width of star images, if a width was given; otherwise the
         tracker measures it in every frame."""
+        of_kind("settings", settings, CentroidSettings)
         return replace(settings, psf_sigma_px=self.psf.width_px) if self._fixed_width else settings
 
     def update(
@@ -110,6 +113,10 @@ class InFlightCalibration:
         given : GivenImage, optional
             The image as read out, for the width of star images and defective pixels (`startracker.given_image`).
         """
+        t_s = real_number("t_s", t_s, unit="s")
+        camera_attitude("attitude", attitude)
+        of_kind("stars", stars, IdentifiedStars, "IdentifiedStars.of(solution, tracker)")
+        of_kind("given", given, (GivenImage, type(None)))
         elapsed_s = 0.0 if self._now_s is None else max(t_s - self._now_s, 0.0)
         self._now_s = t_s
         self.lens.predict(elapsed_s)

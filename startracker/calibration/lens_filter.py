@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtri
 
+from startracker.arguments import of_kind, real_array, real_number
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_equations import LensEquations, lens_equations
@@ -33,6 +34,7 @@ from startracker.display import described, fields_repr
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
 from startracker.lens import PARAMETERS, change_lens, corner_radius, is_one_to_one, value_of
+from startracker.setting_checks import settings_or_default
 from startracker.settings import InFlightSettings
 
 _FEWEST_STARS = 4
@@ -124,7 +126,8 @@ class LensFilter:
     """
 
     def __init__(self, camera: Camera, settings: InFlightSettings | None = None) -> None:
-        self.settings = settings or InFlightSettings()
+        of_kind("camera", camera, Camera)
+        self.settings = settings_or_default("settings", settings, InFlightSettings)
         names = self.settings.parameters
         kind = "pinhole" if camera.projection == "pinhole" else "fisheye"
         missing = [name for name in names if name not in PARAMETERS[kind]]
@@ -194,8 +197,7 @@ class LensFilter:
 
     def predict(self, dt_s: float) -> None:
         """Let the parameters drift for `dt_s` seconds."""
-        if not dt_s >= 0.0:
-            raise InputError(f"the lens drifts forward in time; got a step of {dt_s} s")
+        dt_s = real_number("a step forward in time", dt_s, least=0.0)
         self._widen(self.drift**2 * dt_s)
 
     def _widen(self, variances: FloatArray) -> None:
@@ -213,6 +215,8 @@ class LensFilter:
         stars : IdentifiedStars
             The stars.
         """
+        matrix = real_array("matrix", matrix, (3, 3))
+        of_kind("stars", stars, IdentifiedStars, "IdentifiedStars.of(solution, tracker)")
         if len(stars) < _FEWEST_STARS:
             return LensUpdate(False, f"fewer than {_FEWEST_STARS} stars", np.zeros(len(stars), np.bool_))
         rows = self.stars.rows(stars.catalog_id)

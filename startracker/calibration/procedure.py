@@ -17,16 +17,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from startracker.arguments import names_of, of_kind, switch, text
 from startracker.arrays import FloatArray, IntArray
 from startracker.calibration.consensus import agreeing, focal_lengths, repeated
 from startracker.calibration.field import StarField, pair_up
 from startracker.calibration.known import KnownField, identify_all, starting_camera
 from startracker.calibration.result import CalibratedField, Calibration
-from startracker.catalog import load_catalog
+from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
-from startracker.geometry.camera import Camera
+from startracker.geometry.camera import Camera, as_camera
 from startracker.identification.association import REJECT_SIGMAS
 from startracker.lens import PARAMETERS, only, plain
 from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled, significant, stretch
@@ -80,8 +81,17 @@ def calibrate(
     InputError
         If there are no images, their sizes differ, none is identified, or there are too few stars for a fit.
     """
+    try:
+        fields = list(fields)
+    except TypeError:
+        raise InputError(f"fields must be a list of StarField; got {type(fields).__name__}") from None
     if not fields:
         raise InputError("a calibration needs at least one image")
+    for one in fields:
+        of_kind("each of the fields", one, StarField)
+    camera = None if camera is None else as_camera("camera", camera)
+    switch("refraction", refraction)
+    text("projection", projection)
     if projection not in ("auto", *PARAMETERS):
         raise InputError(f"projection must be auto, {' or '.join(PARAMETERS)}; got {projection!r}")
     width, height = fields[0].width, fields[0].height
@@ -94,9 +104,9 @@ def calibrate(
     if camera is not None and (camera.width, camera.height) != (width, height):
         raise InputError(f"the camera has {camera.width}×{camera.height} pixels, the images {width}×{height}")
     allowed = {name for names in PARAMETERS.values() for name in names}
-    if parameters is not None and (unknown := [name for name in parameters if name not in allowed]):
+    if parameters is not None and (unknown := [name for name in names_of(parameters) if name not in allowed]):
         raise InputError(f"unknown parameter {unknown[0]!r}; use {', '.join(sorted(allowed))}")
-    table = load_catalog(catalog) if isinstance(catalog, str) else catalog
+    table = as_catalog(catalog)
     copies = repeated(fields)
     left_out = {fields[k].name: f"duplicate of {fields[first].name}" for k, first in copies.items()}
     single = [one for k, one in enumerate(fields) if k not in copies]

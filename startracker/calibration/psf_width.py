@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arguments import ABOVE_0, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.centroid.frame import prepare
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_shape import Shape, fit_gaussians
 from startracker.detection.background import Background
 from startracker.display import described
-from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 
 _STARS = 9
@@ -112,9 +112,10 @@ class WidthFilter:
     """
 
     def __init__(self, sigma_px: float, drift_px_sqrt_s: float, width_px: float | None = None) -> None:
-        self.width_px = math.nan if width_px is None else width_px
+        sigma_px = real_number("sigma_px", sigma_px, least=0.0)
+        self.width_px = math.nan if width_px is None else real_number("width_px", width_px, least=ABOVE_0)
         self.variance_px2 = sigma_px**2
-        self.drift_px_sqrt_s = drift_px_sqrt_s
+        self.drift_px_sqrt_s = real_number("drift_px_sqrt_s", drift_px_sqrt_s, least=0.0)
         self.frames = 0
         self._scatter2, self._weight = _FIRST_WEIGHT * sigma_px**2, _FIRST_WEIGHT
 
@@ -128,13 +129,13 @@ class WidthFilter:
 
     def predict(self, dt_s: float) -> None:
         """Let the width drift for `dt_s` seconds."""
-        if not dt_s >= 0.0:
-            raise InputError(f"the width drifts forward in time; got a step of {dt_s} s")
+        dt_s = real_number("a step forward in time", dt_s, least=0.0)
         self.variance_px2 += self.drift_px_sqrt_s**2 * dt_s
 
     def update(self, widths_px: FloatArray) -> bool:
         """Update with the widths (N,) of the stars of a frame; whether they were used: three are needed, and their
         median must be within five standard deviations of the prediction."""
+        widths_px = real_array("widths_px", widths_px, (None,))
         if len(widths_px) < _FEWEST:
             return False
         median = float(np.median(widths_px))

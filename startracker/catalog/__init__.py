@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
+from startracker.arguments import of_kind, text
 from startracker.catalog.bsc5 import load_bsc5
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.hipparcos import load_hipparcos
 from startracker.catalog.stars import StarCatalog
 from startracker.registry import lookup
 
-__all__ = ["CATALOGS", "StarCatalog", "load_bsc5", "load_catalog", "load_hipparcos", "merge_doubles"]
+__all__ = ["CATALOGS", "StarCatalog", "as_catalog", "load_bsc5", "load_catalog", "load_hipparcos", "merge_doubles"]
 
 CATALOGS = {"bsc5": load_bsc5, "hipparcos": load_hipparcos}
 """Loaders by name; other packages add theirs in the entry-point group ``boresight.catalogs``."""
 
 
-@functools.cache
 def load_catalog(name: str) -> StarCatalog:
     """Load a catalogue by name; it is read once per process.
 
@@ -31,7 +32,23 @@ def load_catalog(name: str) -> StarCatalog:
     InputError
         For an unknown catalogue, or if its file is missing or damaged.
     """
+    return _loaded(text("the name of a catalogue", name))
+
+
+@functools.cache
+def _loaded(name: str) -> StarCatalog:
     return lookup("catalogs", CATALOGS, name)()
+
+
+def as_catalog(given: Any) -> StarCatalog:
+    """Argument as a catalogue: a `StarCatalog`, or the name of one for `load_catalog`.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    return load_catalog(given) if isinstance(given, str) else of_kind("catalog", given, StarCatalog, "or a name")
 
 
 def __dir__() -> list[str]:

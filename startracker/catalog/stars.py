@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import real_array, real_number, text
 from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
 from startracker.display import described, quantity_range
@@ -73,11 +74,20 @@ class StarCatalog:
         return described("StarCatalog", self.name, f"{len(self):,} stars", magnitudes, f"epoch {self.epoch_jyear:g}")
 
     def __post_init__(self) -> None:
-        n = len(self.id)
+        text("name", self.name)
+        for name in ("epoch_jyear", "position_sigma_rad"):
+            real_number(name, getattr(self, name))
+        try:
+            n = np.size(self.id)
+        except ValueError:
+            raise InputError(f"catalogue {self.name}: column 'id' must be an array") from None
         if cast("object", self.variable) is None:
             object.__setattr__(self, "variable", np.zeros(n, dtype=bool))
         for column in self.columns():
-            array = _unchangeable(getattr(self, column))
+            try:
+                array = _unchangeable(getattr(self, column))
+            except ValueError:  # rows of different lengths
+                raise InputError(f"catalogue {self.name}: column '{column}' must be an array") from None
             if array.shape != (n,):
                 raise InputError(f"catalogue {self.name}: column '{column}' has {array.shape} values, not ({n},)")
             object.__setattr__(self, column, array)
@@ -97,12 +107,15 @@ class StarCatalog:
 
     def select(self, index: NDArray[Any]) -> StarCatalog:
         """Part of the catalogue, by boolean mask or by index array."""
-        columns: dict[str, Any] = {c: read_only(getattr(self, c)[index]) for c in self.columns()}
+        try:
+            columns: dict[str, Any] = {c: read_only(np.atleast_1d(getattr(self, c)[index])) for c in self.columns()}
+        except (IndexError, TypeError, ValueError) as error:
+            raise InputError(f"a part of {self.name} needs a boolean mask or an array of rows: {error}") from None
         return replace(self, **columns)
 
     def brighter_than(self, magnitude: float) -> StarCatalog:
         """Stars with V ≤ `magnitude`, brightest first."""
-        keep = np.flatnonzero(self.v_mag <= magnitude)
+        keep = np.flatnonzero(self.v_mag <= real_number("magnitude", magnitude, finite=False))
         return self.select(keep[np.argsort(self.v_mag[keep], kind="stable")])
 
     def space_motion(self) -> tuple[FloatArray, FloatArray]:
@@ -128,9 +141,9 @@ class StarCatalog:
             Observer's barycentric position in au (ICRS); adds the annual parallax.
         """
         u, motion = self.space_motion()
-        u = u + (julian_year(epoch_jyear) - self.epoch_jyear) * motion
+        u = u + (real_number("epoch_jyear", julian_year(epoch_jyear)) - self.epoch_jyear) * motion
         if observer_au is not None:
-            u = u - self.parallax_rad[:, None] * np.asarray(observer_au, dtype=float)
+            u = u - self.parallax_rad[:, None] * real_array("observer_au", observer_au, (3,))
         return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True), dtype=np.float64)
 
     def at_epoch(self, epoch_jyear: float) -> StarCatalog:
@@ -140,7 +153,7 @@ class StarCatalog:
         for 1″ per year over 30 years.
         """
         u, motion = self.space_motion()
-        epoch_jyear = julian_year(epoch_jyear)
+        epoch_jyear = real_number("epoch_jyear", julian_year(epoch_jyear))
         moved = u + (epoch_jyear - self.epoch_jyear) * motion
         distance = np.linalg.norm(moved, axis=1)
         ra, dec = direction_to_radec(moved)

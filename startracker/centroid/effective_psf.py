@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from startracker.arguments import real_number, whole_number
 from startracker.arrays import FloatArray
 from startracker.centroid.frame import Prepared, measure_moments, prepare
 from startracker.centroid.psf_kernel import FITTED, Starts, fit_stars
@@ -96,8 +97,12 @@ def build_effective_psf(
     weight against the third differences of c holds what the data leave open. Scale and centre are fixed by two further
     conditions. Stars of χ² beyond five standard deviations of the others' are dropped.
     """
-    if not 2.0 <= radius_px <= 20.0:
-        raise InputError(f"the radius of a star image is {radius_px}; it must be from 2 to 20 pixels")
+    radius_px = real_number("the radius of a star image, radius_px,", radius_px, least=2.0, most=20.0)
+    most_stars = whole_number("most_stars", most_stars, least=1)
+    gain_e_per_dn = None if gain_e_per_dn is None else real_number("gain_e_per_dn", gain_e_per_dn)
+    for part in frames if isinstance(frames, Sequence) else (None,):
+        if not (isinstance(part, tuple) and len(part) == 3 and isinstance(part[2], Spots)):
+            raise InputError("frames must be a list of (image, background, spots)")
     half = math.floor(radius_px - 0.5)
     prepared = [prepare(image, background, CentroidSettings(), gain_e_per_dn) for image, background, _ in frames]
     stars, psf = _clean_stars(prepared, [spots for _, _, spots in frames], radius_px, half, most_stars)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import ABOVE_0, real_number, whole_number
 from startracker.detection.background import as_image, estimate
 from startracker.detection.thresholds import BAD_SHARE, FEWEST_FRAMES
 from startracker.errors import InputError
@@ -30,10 +31,27 @@ def mask_pixels(image: ArrayLike, bad_pixels: ArrayLike | None) -> NDArray[np.fl
     pixels = as_image(image)
     if bad_pixels is None:
         return pixels
-    mask = np.asarray(bad_pixels, dtype=np.bool_)
-    if mask.shape != pixels.shape:
-        raise InputError(f"the bad-pixel map is {mask.shape}, the image {pixels.shape}; they must agree")
+    mask = as_mask("the bad-pixel map", bad_pixels, pixels.shape)
     return np.where(mask, np.float32(np.nan), pixels)
+
+
+def as_mask(name: str, given: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Argument as a mask of an image of this shape: truth values, or numbers, of which 0 is false.
+
+    Raises
+    ------
+    InputError
+        For anything else, or a mask of another shape.
+    """
+    try:
+        mask = np.asarray(given)
+    except (TypeError, ValueError):
+        mask = np.empty(0, dtype=object)
+    if mask.dtype.kind not in "buif":
+        raise InputError(f"{name} must be an array of truth values")
+    if mask.shape != shape:
+        raise InputError(f"{name} is {mask.shape}, the image {shape}; they must agree")
+    return mask.astype(np.bool_)
 
 
 class BadPixelCount:
@@ -53,11 +71,9 @@ class BadPixelCount:
     """
 
     def __init__(self, sigma: float = 5.0, share: float = BAD_SHARE, tile_px: int = 64) -> None:
-        if not 0.0 < share <= 1.0:
-            raise InputError(f"share is {share}; it must be above 0 and at most 1")
-        if not sigma > 0.0:
-            raise InputError(f"sigma is {sigma}; it must be positive")
-        self.sigma, self.share, self.tile_px = sigma, share, tile_px
+        self.sigma = real_number("sigma", sigma, least=ABOVE_0, finite=False)
+        self.share = real_number("share", share, least=ABOVE_0, most=1.0)
+        self.tile_px = whole_number("tile_px", tile_px, least=4)
         self.frames = 0
         self._seen, self._bright, self._dark = np.zeros((3, 0, 0), np.int32)
 
@@ -142,6 +158,8 @@ def find_bad_pixels(
         Fewer than three frames, frames of different shapes, a share or threshold that cannot be.
     """
     counted = BadPixelCount(sigma, share, tile_px)
+    if not isinstance(frames, Iterable):
+        raise InputError(f"frames must be a list of images; got {type(frames).__name__}")
     for frame in frames:
         counted.add(frame)
     if counted.frames < FEWEST_FRAMES:

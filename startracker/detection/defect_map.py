@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import of_kind, real_array, real_number, whole_number
 from startracker.arrays import FloatArray
-from startracker.detection.bad_pixels import BadPixelCount
-from startracker.geometry.attitude import Attitude
+from startracker.detection.bad_pixels import BadPixelCount, as_mask
+from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.camera import Camera
 
 BoolImage = NDArray[np.bool_]
@@ -43,7 +44,9 @@ class DefectMap:
     def __init__(
         self, camera: Camera, *, frames: int, share: float, sigma: float, shift_px: float, tile_px: int = 64
     ) -> None:
-        self.camera, self.frames, self.shift_px = camera, frames, shift_px
+        self.camera = of_kind("camera", camera, Camera)
+        self.frames = whole_number("frames", frames, least=0)
+        self.shift_px = real_number("shift_px", shift_px, least=0.0)
         self.mask: BoolImage = np.zeros((camera.height, camera.width), np.bool_)
         """Defective pixels, (H, W)."""
         self._count = BadPixelCount(sigma, share, tile_px)
@@ -74,7 +77,9 @@ class DefectMap:
         """
         if self.frames == 0:
             return
-        matrix = attitude.as_matrix()
+        matrix = camera_attitude("attitude", attitude).as_matrix()
+        stars_xy = real_array("stars_xy", stars_xy, (None, 2))
+        ignore = None if ignore is None else as_mask("ignore", ignore, self.mask.shape)
         moved = self._never | (self._motion_px(matrix) >= self.shift_px)
         if not moved.any():
             return

@@ -30,7 +30,10 @@ def as_pixels(image: ArrayLike) -> Image:
 
 
 def _checked(image: ArrayLike) -> NDArray[Any]:
-    array = np.asarray(image)
+    try:
+        array = np.asarray(image)
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"an image must be an array: {' '.join(str(error).split())}") from None
     if array.ndim != 2:
         raise InputError(f"an image must have two dimensions (rows, columns); got the shape {array.shape}")
     if array.dtype.kind not in "buif":

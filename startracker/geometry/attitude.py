@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from startracker.arguments import of_kind, real_array, real_number, text
 from startracker.arrays import FloatArray
 from startracker.errors import FrameMismatchError, InputError
-from startracker.interop import plain, rotation_quat, skycoord_deg
+from startracker.interop import is_rotation, is_skycoord, rotation_quat, skycoord_deg
 from startracker.records import made
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
@@ -122,7 +123,9 @@ class Attitude:
     target: str = field(default="camera")
 
     def __post_init__(self) -> None:
-        quat = np.array(self.quat, dtype=float)
+        text("source", self.source)
+        text("target", self.target)
+        quat = real_array("an attitude's quaternion (x, y, z, w)", self.quat, finite=False).copy()
         x, y, z, w = quat.tolist() if quat.shape == (4,) else (math.nan,) * 4
         if not abs(x * x + y * y + z * z + w * w - 1.0) <= _UNIT:  # nearly all are normalised
             largest = max(abs(x), abs(y), abs(z), abs(w))
@@ -141,12 +144,12 @@ class Attitude:
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, source: str = "icrs", target: str = "camera") -> Attitude:
         """Attitude from a proper rotation matrix, ``v_target = matrix @ v_source``."""
-        m = np.asarray(matrix, dtype=float)
+        m = real_array("an attitude matrix", matrix, finite=False)
         if m.shape != (3, 3) or not _is_rotation(m):
             raise InputError("an attitude matrix must be 3×3 and orthogonal, with determinant +1")
         quat = matrix_to_quat(m)  # normalised
         quat.setflags(write=False)
-        return made(cls, quat=quat, source=source, target=target)
+        return made(cls, quat=quat, source=text("source", source), target=text("target", target))
 
     @classmethod
     def from_radec_roll(cls, ra_deg: float, dec_deg: float, roll_deg: float = 0.0) -> Attitude:
@@ -154,11 +157,8 @@ class Attitude:
 
         The roll is the position angle of the camera's up axis (−y), east of north.
         """
-        ra_deg, dec_deg, roll_deg = (
-            plain(ra_deg, "deg", "RA"),
-            plain(dec_deg, "deg", "Dec"),
-            plain(roll_deg, "deg", "roll"),
-        )
+        ra_deg, dec_deg = real_number("RA", ra_deg, unit="deg"), real_number("Dec", dec_deg, unit="deg")
+        roll_deg = real_number("roll", roll_deg, unit="deg")
         ra, dec, roll = math.radians(ra_deg), math.radians(dec_deg), math.radians(roll_deg)
         boresight = radec_to_direction(ra, dec)
         north = np.array([-math.sin(dec) * math.cos(ra), -math.sin(dec) * math.sin(ra), math.cos(dec)])
@@ -170,7 +170,8 @@ class Attitude:
     def from_rotation_vector(cls, vector_rad: ArrayLike, source: str, target: str) -> Attitude:
         """Attitude of the frame that results from rotating the source frame by a rotation vector (radians, or an
         astropy quantity)."""
-        return cls(_rotation_vector_to_quat(plain(vector_rad, "rad", "the rotation vector")), source, target)
+        vector = real_array("the rotation vector", vector_rad, (3,), unit="rad")
+        return cls(_rotation_vector_to_quat(vector), source, target)
 
     @classmethod
     def from_rotation(cls, rotation: Any, source: str = "icrs", target: str = "camera") -> Attitude:
@@ -257,6 +258,7 @@ class Attitude:
 
     def __matmul__(self, other: Attitude) -> Attitude:
         """``self @ other``: first `other`, then `self`; `FrameMismatchError` if their frames do not match."""
+        of_kind("what precedes an attitude", other, Attitude, "apply transforms vectors")
         if other.target != self.source:
             raise FrameMismatchError(
                 f"cannot compose {other.source} → {other.target} with {self.source} → {self.target}: "
@@ -266,13 +268,17 @@ class Attitude:
 
     def apply(self, vectors: ArrayLike) -> FloatArray:
         """Transform vectors of shape (..., 3) from the source to the target frame."""
-        return np.asarray(vectors, dtype=float) @ self._matrix.T
+        array = real_array("vectors", vectors, finite=False)
+        if array.ndim == 0 or array.shape[-1] != 3:
+            raise InputError(f"vectors must have the shape (..., 3); got {array.shape}")
+        return array @ self._matrix.T
 
     def rotation_vector_to(self, other: Attitude) -> FloatArray:
         """Rotation vector (3,), radians, in target axes, from this attitude to `other`.
 
         If `self` is the truth and `other` an estimate, this is the attitude error. Its length is in [0, π].
         """
+        of_kind("what is compared with an attitude", other, Attitude)
         if (self.source, self.target) != (other.source, other.target):
             raise FrameMismatchError(
                 f"{self.source} → {self.target} and {other.source} → {other.target} cannot be compared"
@@ -291,6 +297,25 @@ class Attitude:
         if (self.source, self.target) == ("icrs", "camera"):
             return f"Attitude(ra={self.ra_deg:.5f}°, dec={self.dec_deg:+.5f}°, roll={self.roll_deg:.5f}°)"
         return f"Attitude({self.source} → {self.target}, quat={np.array2string(self.quat, precision=6)})"
+
+
+def camera_attitude(name: str, given: Any) -> Attitude:
+    """Argument as an attitude from ICRS to the camera; a SciPy ``Rotation`` is taken as one.
+
+    Raises
+    ------
+    InputError
+        For anything else, an attitude between other frames included.
+    """
+    if is_rotation(given):
+        return Attitude.from_rotation(given)
+    if is_skycoord(given):
+        raise InputError(f"{name}: a SkyCoord has no roll; give {name}=Attitude.from_skycoord(coordinate, roll_deg)")
+    made_by = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
+    attitude = of_kind(name, given, Attitude, made_by)
+    if (attitude.source, attitude.target) != ("icrs", "camera"):
+        raise InputError(f"{name} must be from icrs to camera; got {attitude.source} → {attitude.target}")
+    return attitude
 
 
 def _is_rotation(matrix: FloatArray) -> bool:

@@ -12,12 +12,12 @@ import math
 import os
 import tempfile
 from dataclasses import asdict, dataclass, field, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import file_path, of_kind, real_array, real_number, text, whole_number
 from startracker.arrays import FloatArray
 from startracker.display import described
 from startracker.errors import InputError
@@ -25,7 +25,6 @@ from startracker.files import read_yaml
 from startracker.geometry.distortion import Distortion
 from startracker.geometry.fisheye import PROJECTIONS, fisheye_unproject, limit_rad
 from startracker.geometry.image_map import EQUISOLID, LENS, LIMIT_RAD, ImageMap, image_map, to_directions, to_pixels
-from startracker.interop import plain
 
 
 @dataclass(frozen=True)
@@ -66,9 +65,12 @@ class Camera:
 
     def __post_init__(self) -> None:
         if isinstance(self.distortion, dict):
-            object.__setattr__(self, "distortion", Distortion(**self.distortion))
-        for name in ("fx", "fy", "cx", "cy"):  # Python floats, which YAML can represent
-            object.__setattr__(self, name, float(getattr(self, name)))
+            object.__setattr__(self, "distortion", _distortion(self.distortion))
+        of_kind("distortion", self.distortion, Distortion)
+        for name in ("fx", "fy", "cx", "cy", "row_time_s"):  # Python numbers, which YAML can represent
+            object.__setattr__(self, name, real_number(name, getattr(self, name), finite=False))
+        for name in ("width", "height", "parity"):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name)))
         if not (self.fx > 0 and self.fy > 0 and math.isfinite(self.fx * self.fy)):
             raise InputError(f"the focal length must be positive; got fx = {self.fx}, fy = {self.fy} pixels")
         if not math.isfinite(self.row_time_s):
@@ -78,11 +80,8 @@ class Camera:
         self._check_projection()
         if self.parity not in (1, -1):
             raise InputError(f"parity must be 1 or -1; got {self.parity}")
-        if self.width != int(self.width) or self.height != int(self.height):
-            raise InputError(f"the image size must be whole pixels; got {self.width}×{self.height}")
-        object.__setattr__(self, "parity", int(self.parity))
-        object.__setattr__(self, "width", int(self.width) or round(2 * self.cx + 1))
-        object.__setattr__(self, "height", int(self.height) or round(2 * self.cy + 1))
+        object.__setattr__(self, "width", self.width or round(2 * self.cx + 1))
+        object.__setattr__(self, "height", self.height or round(2 * self.cy + 1))
         if self.width < 1 or self.height < 1:
             raise InputError(f"an image needs at least one pixel; got {self.width}×{self.height}")
 
@@ -102,7 +101,7 @@ class Camera:
         )
 
     def _check_projection(self) -> None:
-        if self.projection not in PROJECTIONS:
+        if text("projection", self.projection) not in PROJECTIONS:
             raise InputError(
                 f"projection must be {', '.join(PROJECTIONS[:-1])} or {PROJECTIONS[-1]}; got {self.projection!r}"
             )
@@ -127,8 +126,9 @@ class Camera:
     ) -> Camera:
         """Camera with square pixels and a centred principal point; `fov_deg` (degrees, or an astropy quantity) is the
         undistorted field of view across the full width, edge to edge."""
-        fov_deg = plain(fov_deg, "deg", "fov_deg")
-        most = 180 if projection == "pinhole" else 360
+        fov_deg = real_number("fov_deg", fov_deg, unit="deg", finite=False)
+        width, height = whole_number("width", width), whole_number("height", height)
+        most = 180 if text("projection", projection) == "pinhole" else 360
         if not 0 < fov_deg < most:
             raise InputError(f"a field of view must be between 0° and {most}°; got {fov_deg}°")
         half = math.radians(fov_deg) / 2
@@ -144,14 +144,14 @@ class Camera:
             (height - 1) / 2,
             width,
             height,
-            distortion or Distortion(),
+            Distortion() if distortion is None else distortion,
             projection=projection,
         )
 
     @classmethod
-    def from_yaml(cls, path: str | Path) -> Camera:
+    def from_yaml(cls, path: str | os.PathLike[str]) -> Camera:
         """Camera from a YAML file whose keys are the parameters of this class; `InputError` reports every fault."""
-        return cls.from_dict(read_yaml(path, "give a camera file"), where=str(path))
+        return cls.from_dict(read_yaml(file_path("path", path), "give a camera file"), where=str(path))
 
     @classmethod
     def from_dict(cls, data: Any, where: str = "camera") -> Camera:
@@ -174,9 +174,7 @@ class Camera:
             f"distortion.{k}": v for k, v in distortion.items()
         }
         faults += [
-            f"'{key}' must be a finite number, not {value!r}"
-            for key, value in numbers.items()
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)
+            f"'{key}' must be a finite number, not {value!r}" for key, value in numbers.items() if not _is_finite(value)
         ]
         if faults:
             raise InputError(f"{where}: {'; '.join(faults)}")
@@ -191,7 +189,7 @@ class Camera:
         data["distortion"] = {key: float(value) for key, value in data["distortion"].items()}
         return data
 
-    def to_yaml(self, path: str | Path) -> None:
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write a file for `from_yaml`, atomically: a temporary file in the same folder is renamed.
 
         Raises
@@ -201,12 +199,12 @@ class Camera:
         """
         from ruamel.yaml import YAML
 
-        text, target, temporary = io.StringIO(), Path(path), ""
-        YAML().dump(self.to_dict(), text)
+        written, target, temporary = io.StringIO(), file_path("path", path), ""
+        YAML().dump(self.to_dict(), written)
         try:
             with tempfile.NamedTemporaryFile("wb", dir=target.parent, prefix=f".{target.name}.", delete=False) as file:
                 temporary = file.name
-                file.write(text.getvalue().encode())
+                file.write(written.getvalue().encode())
             os.chmod(temporary, 0o644)
             os.replace(temporary, target)
         except OSError as error:
@@ -308,24 +306,60 @@ class Camera:
         (`limit_rad`). A pinhole's distortion polynomial is only valid near the field; far outside it can fold back into
         the image, so select by angle first (`half_diagonal_rad`).
         """
-        v = np.asarray(vectors, dtype=float)
-        if v.ndim < 2:
-            v = v[None]
+        v = _rows("vectors", vectors, 3)
         return np.asarray(to_pixels(v, self.image_map))
 
     def unproject(self, xy: ArrayLike) -> FloatArray:
         """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be inverted and
         outside the image circle of a fisheye."""
-        p = np.asarray(xy, dtype=float)
-        if p.ndim < 2:
-            p = p[None]
+        p = _rows("pixels", xy, 2)
         return np.asarray(to_directions(p, self.image_map))
 
     def contains(self, xy: FloatArray, margin_px: float = 0.0) -> NDArray[np.bool_]:
         """Whether pixels (N, 2) lie on the image, enlarged by a margin."""
+        xy = _rows("pixels", xy, 2)
+        margin_px = real_number("margin_px", margin_px)
         return (
             (xy[:, 0] >= -0.5 - margin_px)
             & (xy[:, 0] < self.width - 0.5 + margin_px)
             & (xy[:, 1] >= -0.5 - margin_px)
             & (xy[:, 1] < self.height - 0.5 + margin_px)
         )
+
+
+def as_camera(name: str, given: Any) -> Camera:
+    """Argument as a camera: a `Camera`, or the name of a file for `Camera.from_yaml`.
+
+    Raises
+    ------
+    InputError
+        For anything else, or a file that is not one of a camera.
+    """
+    if isinstance(given, str | os.PathLike):
+        return Camera.from_yaml(given)
+    return of_kind(name, given, Camera, "or the name of a camera file")
+
+
+def _rows(name: str, given: ArrayLike, columns: int) -> FloatArray:
+    """Rows (N, columns) of real numbers, also from a single one of the shape (columns,)."""
+    table = real_array(name, given, finite=False)
+    table = table[None] if table.ndim < 2 else table
+    if table.ndim != 2 or table.shape[1] != columns:
+        raise InputError(f"{name} must have the shape (N, {columns}); got {np.shape(given)}")
+    return table
+
+
+def _distortion(values: dict[str, Any]) -> Distortion:
+    """Distortion of a mapping from the names of its coefficients."""
+    known = [f.name for f in fields(Distortion)]
+    if unknown := [name for name in values if name not in known]:
+        raise InputError(f"distortion has no coefficient {unknown[0]!r}; it has {', '.join(known)}")
+    return Distortion(**values)
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        real_number("value", value)
+    except InputError:
+        return False
+    return True

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from startracker.arguments import real_number
 from startracker.arrays import FloatArray
 from startracker.display import changed_fields
 from startracker.kernels import kernel_part
@@ -46,6 +47,10 @@ class Distortion:
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            real_number(name, value, finite=False)
 
     def __repr__(self) -> str:
         return changed_fields(self)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
+from startracker.arguments import pair, real_number
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS, PLANE_BITS, Tables
@@ -60,6 +61,10 @@ class IntegerCamera:
     resolution_px: float = 3.0
 
     def __post_init__(self) -> None:
+        pair("size_px", self.size_px)
+        pair("fov_deg", self.fov_deg)
+        for name in ("centroid_error_px", "false_alarm_rate", "resolution_px"):
+            real_number(name, getattr(self, name), finite=False)
         if not (all(0 < n <= 1022 for n in self.size_px) and all(0.0 < a < 90.0 for a in self.fov_deg)):
             raise InputError(
                 f"the integer tracker's images have up to 1022 pixels a side, which 10.22 holds, and fields below 90°; "

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import of_kind, real_array, real_number
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.attitude import IntegerAttitude, NotSolved, matrix_angles, plate_attitude
@@ -163,6 +164,13 @@ class IntegerTracker:
         InputError, FixedPointOverflow
             As `TriadTables.build`; a largest separation of 32° or more.
         """
+        of_kind("camera", camera, IntegerCamera)
+        given = real_array("star_id", star_id, (None,))
+        if (given % 1.0 != 0.0).any():
+            raise InputError("star_id must be whole numbers")
+        columns = {"ra_deg": ra_deg, "dec_deg": dec_deg, "v_mag": v_mag}
+        ra_deg, dec_deg, v_mag = (real_array(name, values, given.shape) for name, values in columns.items())
+        max_separation_deg = real_number("max_separation_deg", max_separation_deg, least=0.0)
         tables = integer_tables(star_id, ra_deg, dec_deg, v_mag, max_separation_deg)
         if not len(tables):
             raise InputError("the sub-catalogue has no star; raise the magnitude limit")
@@ -210,9 +218,14 @@ def solve_integers(tracker: IntegerTracker, xy_px: ArrayLike, limits: TriadLimit
     TypeError
         Tables that hold floating point.
     """
+    of_kind("tracker", tracker, IntegerTracker, "IntegerTracker.build makes one")
+    of_kind("limits", limits, (TriadLimits, type(None)))
     integers(tracker.tables.v_mag)
     integers(tracker.tables.separation)
-    given = np.asarray(xy_px).reshape(-1, 2)[:MAX_POINTS]
+    given = np.asarray(xy_px) if np.size(real_array("xy_px", xy_px, finite=False)) else np.empty((0, 2))
+    if given.ndim != 2 or given.shape[1] != 2:
+        raise InputError(f"xy_px must have the shape (N, 2); got {given.shape}")
+    given = given[:MAX_POINTS]
     if len(given) < 3:
         return _refused("too_few_stars", "fewer_than_three", len(given), f"{len(given)} points, 3 are needed")
     try:

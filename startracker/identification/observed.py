@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from startracker.arguments import ABOVE_0, real_number
 from startracker.arrays import FloatArray, IntArray, filled
 from startracker.display import fields_repr
-from startracker.errors import InputError
-from startracker.geometry.attitude import Attitude
+from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.image_map import ImageMap, to_directions
-from startracker.interop import is_rotation, is_skycoord, plain
 from startracker.kernels import kernel, kernel_part
 from startracker.solution import Status
 
@@ -138,23 +137,12 @@ def as_prior(attitude: object, prior_deg: float) -> Prior | None:
     Raises
     ------
     InputError
-        For anything but an `Attitude` or a SciPy ``Rotation`` (ICRS to camera), or an angle that is not positive.
+        For anything but an `Attitude` or a SciPy ``Rotation`` from ICRS to the camera, or an angle that is not
+        positive.
     """
     if attitude is None:
         return None
-    if is_rotation(attitude):
-        attitude = Attitude.from_rotation(attitude)
-    if is_skycoord(attitude):
-        raise InputError("a SkyCoord has no roll; give prior=Attitude.from_skycoord(coordinate, roll_deg)")
-    if not isinstance(attitude, Attitude):
-        made = "Attitude.from_matrix, from_radec_roll or from_rotation_vector make one"
-        raise InputError(f"a prior must be an Attitude ({made}); got {type(attitude).__name__}")
-    prior_deg = plain(prior_deg, "deg", "prior_deg")
-    try:
-        fits = math.isfinite(prior_deg) and prior_deg > 0
-    except TypeError:
-        fits = False
-    if not fits:
-        raise InputError(f"prior_deg must be a positive angle in degrees; got {prior_deg!r}")
+    known = camera_attitude("prior", attitude)
+    prior_deg = real_number("prior_deg", prior_deg, unit="deg", least=ABOVE_0)
     # at the limit about all three axes at once
-    return Prior(attitude, min(math.radians(prior_deg) * _AXES, math.pi))
+    return Prior(known, min(math.radians(prior_deg) * _AXES, math.pi))

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arguments import file_path, switch, text
 from startracker.display import described, html_card
 from startracker.errors import InputError
 from startracker.files import IMAGE_BYTES, read_bytes
@@ -119,7 +120,10 @@ def read_image(
     InputError
         If the file is missing, unreadable, damaged, truncated, empty, or not an image.
     """
-    file = Path(path)
+    file = file_path("path", path)
+    switch("upright", upright)
+    switch("colours", colours)
+    bayer = None if bayer is None else text("bayer", bayer)
     data = _bytes_of(file)
     if not data:
         raise InputError(f"{file}: is empty (0 bytes); {_HINT}")

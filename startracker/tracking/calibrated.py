@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from startracker.arguments import of_kind
 from startracker.arrays import FloatArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.in_flight import InFlightCalibration
@@ -47,6 +48,8 @@ class CalibratedSession(TrackingSession):
         settings: TrackingSettings | None = None,
         exposure_s: float = 0.0,
     ) -> None:
+        of_kind("calibration", calibration, InFlightCalibration)
+        of_kind("tracker", tracker, StarTracker)
         super().__init__(copy.copy(tracker), noise, settings=settings, exposure_s=exposure_s)
         self.calibration = calibration
         self._ground = tracker.centroid

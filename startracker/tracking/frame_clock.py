@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from startracker.errors import InputError
+from startracker.arguments import real_number
 
 
 class FrameClock:
@@ -24,10 +24,7 @@ class FrameClock:
         InputError
             If it is not a number.
         """
-        try:
-            return float(t_s)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"a frame's time must be a number of seconds; got {t_s!r}") from error
+        return real_number("a frame's time", t_s, what="a number of seconds", finite=False)
 
     def fault(self, t_s: float) -> str:
         """Reason why a frame's time cannot be used; empty if it can.

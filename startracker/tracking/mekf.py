@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
+from startracker.arguments import ABOVE_0, of_kind, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
@@ -123,7 +124,7 @@ class Mekf:
         noise: GyroNoise | RateNoise | None = None,
         rate_rad_s: ArrayLike | None = None,
     ) -> None:
-        self.noise = noise or RateNoise()
+        self.noise = RateNoise() if noise is None else of_kind("noise", noise, (GyroNoise, RateNoise))
         self.has_gyro = isinstance(self.noise, GyroNoise)
         self.noise_factor = 1.0
         """Factor on the variances of the process noise."""
@@ -151,13 +152,16 @@ class Mekf:
         second_sigma_rad_s : float, optional
             Standard deviation of the rate or the bias, instead of that of the noise.
         """
-        block = np.asarray(covariance, dtype=float)
+        _of_icrs(attitude)
+        block = real_array("an attitude's covariance", covariance, finite=False)
         if block.shape != (3, 3) or not (np.isfinite(block).all() and (np.linalg.eigvalsh(block) > 0).all()):
             raise InputError("an attitude's covariance must be 3×3, finite and positive definite")
         self._quat, self._matrix_of = np.array(attitude.quat), np.empty(0)
         noise = self.noise
         usual = noise.bias_sigma_rad_s if isinstance(noise, GyroNoise) else noise.rate_sigma_rad_s
-        sigma = usual if second_sigma_rad_s is None else second_sigma_rad_s
+        sigma = usual
+        if second_sigma_rad_s is not None:
+            sigma = real_number("second_sigma_rad_s", second_sigma_rad_s, least=0.0)
         scale = noise.scale_sigma if isinstance(noise, GyroNoise) else 0.0
         variances = [0.0, sigma**2, scale**2] if scale > 0.0 else [0.0, sigma**2]
         self._covariance = np.diag(np.repeat(variances, 3))
@@ -177,7 +181,7 @@ class Mekf:
 
     def distrust(self, factor: float) -> None:
         """Multiply the covariance of the state by `factor`, to reduce the weight of past measurements."""
-        self._covariance = self._covariance * factor
+        self._covariance = self._covariance * real_number("factor", factor, least=ABOVE_0)
 
     # ------------------------------------------------------------------ state
     @property
@@ -250,8 +254,7 @@ class Mekf:
         InputError
             For a negative step, or a rate that is not three finite numbers.
         """
-        if not (math.isfinite(dt) and dt >= 0.0):
-            raise InputError(f"a filter steps forward in time; got a step of {dt} s")
+        dt = real_number("a step forward in time", dt, least=0.0)
         if isinstance(self.noise, GyroNoise):
             sign, angle, rate = -1.0, self.noise.angle_random_walk**2, self.noise.rate_random_walk**2
             extra = 0.0 if gyro_rad_s is not None else self.noise.acceleration**2
@@ -281,9 +284,10 @@ class Mekf:
             Probability of rejecting a correct measurement, which defines the gate on χ². 0: no gate.
         """
         measured = attitude if isinstance(attitude, Attitude) else Attitude.from_matrix(attitude)
-        vector = rotation_between(self._quat, measured.quat)
-        outcome = correct(self._covariance, np.eye(3), vector, np.ascontiguousarray(covariance, dtype=float))
-        return self._take(outcome, chi_square_limit(3, false_rejection), 3)
+        _of_icrs(measured)
+        vector, limit = rotation_between(self._quat, measured.quat), chi_square_limit(3, _probability(false_rejection))
+        noise = real_array("an attitude's covariance", covariance, (3, 3))
+        return self._take(correct(self._covariance, np.eye(3), vector, np.ascontiguousarray(noise)), limit, 3)
 
     def update_vectors(
         self, observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike, false_rejection: float = 0.0
@@ -299,9 +303,10 @@ class Mekf:
         sigma_rad : array_like, shape (M,)
             Standard error of a direction on one axis.
         """
-        b = np.ascontiguousarray(np.atleast_2d(observed), dtype=float)
-        r = np.ascontiguousarray(np.atleast_2d(reference), dtype=float)
-        sigma = np.ascontiguousarray(sigma_rad, dtype=float)
+        b = np.ascontiguousarray(np.atleast_2d(real_array("observed", observed, finite=False)))
+        r = np.ascontiguousarray(np.atleast_2d(real_array("reference", reference)))
+        sigma = np.ascontiguousarray(real_array("sigma_rad", sigma_rad, finite=False))
+        _probability(false_rejection)
         if sigma.shape != (len(b),):
             if sigma.size != 1:
                 raise InputError(f"{len(b)} directions need as many standard errors, or one; got {sigma.shape}")
@@ -367,7 +372,7 @@ def chi_square_limit(freedom: int, probability: float) -> float:
 
 
 def _three(values: ArrayLike, what: str) -> FloatArray:
-    vector = np.array(values, dtype=float)
+    vector = real_array(f"{what}, three numbers in rad/s,", values, finite=False).copy()
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise InputError(f"{what} must be three finite numbers in rad/s; got {values!r}")
     return vector
@@ -375,5 +380,14 @@ def _three(values: ArrayLike, what: str) -> FloatArray:
 
 def _check_positive(noise: object) -> None:
     for name, value in vars(noise).items():
-        if not (math.isfinite(value) and value >= 0.0):
-            raise InputError(f"{type(noise).__name__}.{name} must be zero or a positive number; got {value}")
+        real_number(f"{type(noise).__name__}.{name}", value, least=0.0)
+
+
+def _of_icrs(attitude: Attitude) -> None:
+    """Refuse an attitude from another frame than ICRS; its target is the camera, or the body of several heads."""
+    if of_kind("attitude", attitude, Attitude).source != "icrs":
+        raise InputError(f"attitude must be from icrs; got {attitude.source} → {attitude.target}")
+
+
+def _probability(false_rejection: float) -> float:
+    return real_number("false_rejection", false_rejection, least=0.0, most=1.0)

@@ -15,19 +15,21 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker.arguments import ABOVE_0, of_kind, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.display import described
-from startracker.errors import InputError
 from startracker.estimation.wahba import attitude_covariance
 from startracker.front_end import Clock
-from startracker.geometry.attitude import Attitude
+from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.given_image import GivenImage, given_image
 from startracker.identification.acceptance import accepts
-from startracker.interop import is_rotation, plain
+from startracker.interop import plain
 from startracker.observer import Observer, corrects_aberration
 from startracker.records import made
+from startracker.setting_checks import settings_or_default
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
+from startracker.survey import plain as plain_array
 from startracker.tracker import STATED_PX, StarTracker
 from startracker.tracking.following import Followed
 from startracker.tracking.frame_clock import FrameClock
@@ -71,13 +73,10 @@ class TrackingSession:
         settings: TrackingSettings | None = None,
         exposure_s: float = 0.0,
     ) -> None:
-        exposure_s = plain(exposure_s, "s", "exposure_s")
-        if not (math.isfinite(exposure_s) and exposure_s >= 0.0):
-            raise InputError(f"the exposure must be zero or positive; got {exposure_s}")
-        self.tracker = tracker
-        self.noise = noise or RateNoise()
-        self.settings = settings or TrackingSettings()
-        self.exposure_s = exposure_s
+        self.tracker = of_kind("tracker", tracker, StarTracker)
+        self.noise = RateNoise() if noise is None else of_kind("noise", noise, (RateNoise, GyroNoise))
+        self.settings = settings_or_default("settings", settings, TrackingSettings)
+        self.exposure_s = real_number("exposure_s", exposure_s, unit="s", least=0.0)
         self.state = TrackingState()
         self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
         self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
@@ -138,11 +137,11 @@ class TrackingSession:
         rate_rad_s : array_like or astropy Quantity, shape (3,), optional
             Rate of the camera, camera axes.
         """
-        if is_rotation(attitude):
-            attitude = Attitude.from_rotation(attitude)
-        sigma_deg, rate_rad_s = plain(sigma_deg, "deg", "sigma_deg"), plain(rate_rad_s, "rad/s", "rate_rad_s")
-        if attitude is not None and not (math.isfinite(sigma_deg) and sigma_deg > 0.0):
-            raise InputError(f"sigma_deg must be a positive angle in degrees; got {sigma_deg}")
+        if attitude is not None:
+            attitude = camera_attitude("attitude", attitude)
+        sigma_deg = real_number("sigma_deg", sigma_deg, unit="deg", least=ABOVE_0)
+        if rate_rad_s is not None:
+            rate_rad_s = real_array("rate_rad_s", rate_rad_s, (3,), unit="rad/s")
         with self._lock:
             self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
             self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
@@ -229,7 +228,10 @@ class TrackingSession:
         The centroid error is estimated from the residuals of previous frames.
         """
         with self._lock:
-            clock, points = Clock(), np.asarray(xy, dtype=float)
+            of_kind("observer", observer, (Observer, type(None)))
+            clock, points = Clock(), real_array("centroids", plain_array(xy), finite=False)
+            if flux is not None:
+                flux = real_array("fluxes", plain_array(flux), finite=False)
             key = list_key(points)
             refused = self._begin(t_s, gyro_rad_s, self._memory.list_repeats(key), observer)
             if refused is not None:

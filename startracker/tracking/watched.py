@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from startracker.arguments import real_array
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
@@ -68,10 +69,7 @@ class WatchedFilter:
             return None, ""
         if not isinstance(self.noise, GyroNoise):
             raise InputError("this session has no gyro: create it with noise=GyroNoise(...), or omit gyro_rad_s")
-        try:
-            sample = np.asarray(gyro_rad_s, dtype=float)
-        except (TypeError, ValueError):
-            sample = np.empty(0)
+        sample = real_array("a gyro's rate, three numbers in rad/s,", gyro_rad_s, finite=False)
         if sample.shape != (3,):
             raise InputError(f"a gyro's rate must be three numbers in rad/s; got {gyro_rad_s!r}")
         finite = bool(np.isfinite(sample).all())

@@ -1,5 +1,6 @@
 """Who may connect to a live server, and hostile input: refused with a reason, while the mission goes on."""
 
+import contextlib
 import json
 import socket
 import time
@@ -10,9 +11,10 @@ import pytest
 from live_client import lines, running, small, websocket
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from simulator.live import session
+from simulator.live import http_connections, session
+from simulator.live import server as live_server
 from simulator.live.protocol import LARGEST_MESSAGE_BYTES
-from simulator.live.security import Access, TokenBucket
+from simulator.live.security import Access, TokenBucket, is_host
 from simulator.live.server import LiveServer, ServerOptions
 from startracker.errors import InputError
 
@@ -169,6 +171,90 @@ def test_a_name_that_was_redirected_to_this_machine_is_refused(server):
         urllib.request.urlopen(request, timeout=30)
     assert refused.value.code == 403
     refused.value.close()
+
+
+def asked(server, text):
+    """What the server answers to bytes over HTTP before it closes the connection."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=30) as connection:
+        connection.sendall(text)
+        return b"".join(iter(lambda: connection.recv(65536), b""))
+
+
+@pytest.mark.parametrize(
+    "host", ["[", "]", "[::1", "::1]", "[x]", "localhost:port", "localhost:99999", "a b", "a@localhost", "a/b", "½"]
+)
+@pytest.mark.parametrize("kind", ["page", "websocket"])
+def test_a_host_that_is_not_a_name_is_refused_without_a_traceback(server, host, kind, caplog):
+    asks = {
+        "page": "Connection: close\r\n",
+        "websocket": "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n",
+    }
+    answer = asked(server, f"GET /ws HTTP/1.1\r\nHost: {host}\r\n{asks[kind]}\r\n".encode("latin-1"))
+    assert answer.startswith(b"HTTP/1.1 400"), answer
+    assert not any(record.exc_info for record in caplog.records)
+
+
+def test_hosts_with_ports_and_addresses_are_names():
+    for host in ("", "localhost", "localhost:8042", "127.0.0.1:1", "[::1]", "[::1]:8042", "a_b.example"):
+        assert is_host(host)
+
+
+@pytest.mark.parametrize("path", ["static/%00", "static/" + 5000 * "a", "%00", "ws", "static/%ff"])
+def test_strange_paths_are_not_found(server, path, caplog):
+    answer = asked(server, f"GET /{path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+    assert answer.split()[1] in (b"404", b"400", b"426"), answer
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: local",
+        b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\nGET /heal",
+        b"POST /healthz HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000\r\n\r\nx",
+    ],
+    ids=["nothing", "half a header", "half a second header", "half a body"],
+)
+def test_requests_that_do_not_end_are_not_kept(server, begin, monkeypatch):
+    monkeypatch.setattr(http_connections, "REQUEST_S", 0.5)
+    with socket.create_connection(("127.0.0.1", server.port), timeout=30) as connection:
+        connection.sendall(begin)
+        started = time.monotonic()
+        with contextlib.suppress(ConnectionResetError, BrokenPipeError):
+            while time.monotonic() - started < 10.0:
+                connection.settimeout(0.1)
+                try:
+                    if not connection.recv(65536):
+                        break
+                except TimeoutError:  # bytes that arrive slowly do not begin the time anew
+                    connection.sendall(b"a" if begin else b"")
+        assert time.monotonic() - started < 5.0
+    still_serves(server)
+
+
+def test_a_websocket_without_a_hello_is_not_kept(server, monkeypatch):
+    monkeypatch.setattr(live_server, "HELLO_S", 0.3)
+    with websocket(server) as talk:
+        assert talk.receive()["code"] == "hello_first"
+        with pytest.raises(ConnectionClosed):
+            talk.receive()
+    still_serves(server)
+
+
+def test_connections_in_use_outlive_the_limit(server, monkeypatch):
+    monkeypatch.setattr(http_connections, "REQUEST_S", 0.5)
+    monkeypatch.setattr(live_server, "HELLO_S", 0.5)
+    with websocket(server) as talk:
+        talk.hello("solution")
+        time.sleep(1.0)
+        talk.send(type="command", name="step")
+        talk.until("solution")
+
+
+def test_a_token_with_half_a_surrogate_pair_is_wrong():
+    assert not Access("127.0.0.1", "secret").has_token("\ud800")
 
 
 def test_health_and_headers(server):

@@ -177,7 +177,7 @@ def test_near_root_is_found_where_newton_first_meets_a_far_one():
         ((1.0, 1.0, math.nan, 5.0), "principal point"),
         ((1.0, 1.0, 5.0, 5.0, -3, 4), "at least one pixel"),
         ((1.0, 1.0, -5.0, 5.0), "at least one pixel"),
-        ((1.0, 1.0, 5.0, 5.0, 10.5, 4), "whole pixels"),
+        ((1.0, 1.0, 5.0, 5.0, 10.5, 4), "whole number"),
         ((1.0, 1.0, 5.0, 5.0, 10, 4, Distortion(), 0), "parity"),
     ],
 )

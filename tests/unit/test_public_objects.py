@@ -261,7 +261,7 @@ def test_a_frame_brings_what_is_known_of_it(exposure, tracker, solution):
     tracked = session.update(dataclasses.replace(frame, image=frame.image + np.uint16(1)), 0.1)
     assert tracked.solved
     assert tracked.aberration_corrected
-    with pytest.raises(InputError, match=r"startracker\.Observer\(.*got str"):
+    with pytest.raises(InputError, match=r"startracker\.Observer\(.*got 'here'"):
         tracker.solve(frame.image, observer="here")
 
 

@@ -3,10 +3,12 @@
 # ruff: noqa: E501, ISC004 - messages stand as they are printed
 import os
 import pickle
+import time
 
 import pytest
 
 from simulator.scenario import Scenario, ScenarioError
+from simulator.scenario.document import parse_document
 
 GOOD = """\
 name: demo
@@ -280,3 +282,13 @@ def test_an_error_crosses_processes():
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value)
     assert again.problems == caught.value.problems
+
+
+@pytest.mark.parametrize("opening", ["[", "{", "[a, ", "{a: ", "{? ", "[\n"])
+def test_ten_thousand_levels_are_refused_at_once(opening):
+    """The parser alone takes a minute for 10,000 opening brackets: the rest is not read."""
+    problems = []
+    begin = time.process_time()
+    assert parse_document("name: " + opening * 10_000, "deep.yaml", problems) is None
+    assert time.process_time() - begin < 5.0  # 0.2 s on the machine it was written on
+    assert [problem.message for problem in problems] == ["nested more than 20 levels deep; reduce the nesting"]

@@ -20,6 +20,7 @@ from simulator.live.stimulator.photometry import Curve, Photometry
 from simulator.live.stimulator.photometry_fit import Exposures, PhotometryFit, fit_photometry
 from simulator.live.stimulator.picture import Stimulator
 from startracker._version import __version__
+from startracker.arguments import file_path, names_of, of_kind, real_number
 from startracker.arrays import FloatArray
 from startracker.calibration.camera_file import rounded
 from startracker.constants import ARCSEC_RAD
@@ -117,6 +118,13 @@ def calibrate_display(
     InputError
         For a missing or unusable photograph, or a camera that moved between them.
     """
+    of_kind("pattern", pattern, Pattern)
+    of_kind("nominal", nominal, DisplayGeometry)
+    of_kind("taken", taken, Exposures)
+    for name, value in taken._asdict().items():
+        real_number(name, value)
+    for name, one in of_kind("photographs", photographs, (Mapping,)).items():
+        of_kind(f"photograph {name}", one, Photograph)
     needed = [name for name in pattern.names if name != "black"]
     if missing := [name for name in needed if name not in photographs]:
         raise InputError(f"photographs of these patterns are missing: {', '.join(missing)}")
@@ -142,7 +150,8 @@ def align_display(stimulator: Stimulator, pattern: Pattern, photograph: Photogra
     InputError
         If the dots are not found or do not fit the calibrated display.
     """
-    dots = find_dots(photograph, pattern)
+    of_kind("stimulator", stimulator, Stimulator)
+    dots = find_dots(of_kind("photograph", photograph, Photograph), of_kind("pattern", pattern, Pattern))
     rotation, sigma, rms = aligned(stimulator.geometry, pattern, photograph, dots)
     arcsec = sigma / ARCSEC_RAD
     errors = {f"attitude_{axis}_arcsec": float(s) for axis, s in zip("xyz", arcsec, strict=True)}
@@ -188,7 +197,9 @@ def stimulator_yaml(stimulator: Stimulator, head: list[str], made: date | None =
     """Text of a file for `read_stimulator`; `head` are lines of a report, which become comments."""
     from ruamel.yaml import YAML
 
-    light = stimulator.photometry
+    head = list(names_of(head))
+    of_kind("made", made, (date, type(None)))
+    light = of_kind("stimulator", stimulator, Stimulator).photometry
     data = {
         "collimator": stimulator.geometry.collimator.to_dict(),
         "tilt_deg": [float(tilt) for tilt in stimulator.geometry.tilt_deg],
@@ -221,7 +232,7 @@ def read_stimulator(path: str | Path) -> Stimulator:
     InputError
         For a file that cannot be read, with its fault in one line.
     """
-    data = read_yaml(path, "give a stimulator file")
+    data = read_yaml(file_path("path", path), "give a stimulator file")
     try:
         return _stimulator_of(data, str(path))
     except KeyError as error:

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from startracker.arguments import of_kind, pair, real_array, real_number, whole_number
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
@@ -45,6 +46,8 @@ class DisplayGeometry:
     tilt_deg: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        of_kind("collimator", self.collimator, Camera)
+        object.__setattr__(self, "tilt_deg", pair("tilt_deg", self.tilt_deg))
         if self.collimator.projection != "pinhole":
             raise InputError("a collimator is a pinhole; projection must be pinhole")
         if not all(math.isfinite(tilt) and abs(tilt) < 45.0 for tilt in self.tilt_deg):
@@ -76,7 +79,9 @@ class DisplayGeometry:
 
     def to_directions(self, pixels: ArrayLike) -> FloatArray:
         """Unit vectors (N, 3) in the collimator's frame of display pixels (N, 2): inverse of `to_pixels`."""
-        xy = np.atleast_2d(np.asarray(pixels, dtype=float))
+        xy = np.atleast_2d(real_array("pixels", pixels, finite=False))
+        if xy.ndim != 2 or xy.shape[1] != 2:
+            raise InputError(f"pixels must have the shape (N, 2); got {xy.shape}")
         return self.collimator.unproject(_mapped(np.linalg.inv(self._plane).astype(float), xy))
 
 
@@ -93,10 +98,12 @@ def nominal_geometry(size: tuple[int, int], pitch_um: float, focal_mm: float) ->
     InputError
         For a pitch or a focal length that is not positive.
     """
+    width, height = (whole_number("size", side, least=1) for side in pair("size", size))
+    pitch_um, focal_mm = real_number("pitch_um", pitch_um), real_number("focal_mm", focal_mm)
     if not (pitch_um > 0 and focal_mm > 0 and math.isfinite(focal_mm / pitch_um)):
         raise InputError(f"pitch and focal length must be positive; got {pitch_um:g} µm and {focal_mm:g} mm")
     focal = 1e3 * focal_mm / pitch_um
-    return DisplayGeometry(Camera(focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2, *size))
+    return DisplayGeometry(Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height))
 
 
 def with_parity(geometry: DisplayGeometry, parity: int) -> DisplayGeometry:

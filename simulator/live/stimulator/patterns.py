@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.arguments import names_of, real_array, text, whole_number
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 
@@ -57,8 +58,11 @@ class Pattern:
     levels: tuple[int, ...] = (5, 10, 15, 20, 30, *range(45, 256, 15))
 
     def __post_init__(self) -> None:
-        for name in ("colours", "levels"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        for name in ("width", "height", "spacing_px", "dot_px"):
+            object.__setattr__(self, name, whole_number(name, getattr(self, name), least=1))
+        object.__setattr__(self, "colours", names_of(self.colours))
+        levels = real_array("levels", self.levels, (None,)).tolist()
+        object.__setattr__(self, "levels", tuple(whole_number("a level", level) for level in levels))
         if not self.colours or set(self.colours) - set(COLOURS) or len(set(self.colours)) < len(self.colours):
             raise InputError(f"colours must be some of {', '.join(COLOURS)}; got {', '.join(self.colours) or 'none'}")
         if self.spacing_px < 16 or self.spacing_px % 2 or self.dot_px < 1 or self.dot_px % 2 == 0:
@@ -95,7 +99,8 @@ class Pattern:
 
     def position(self, index: NDArray[np.generic]) -> FloatArray:
         """Display pixels (N, 2) of lattice indices (N, 2); halves for the markers."""
-        return np.asarray(np.array([self.width // 2, self.height // 2]) + self.spacing_px * np.asarray(index, float))
+        halves = real_array("index", index, (None, 2))
+        return np.asarray(np.array([self.width // 2, self.height // 2]) + self.spacing_px * halves)
 
     @property
     def square_px(self) -> int:
@@ -125,7 +130,7 @@ class Pattern:
         InputError
             For an unknown name.
         """
-        if name not in self.names:
+        if text("name", name) not in self.names:
             raise InputError(f"unknown pattern {name!r}; use {', '.join(self.names)}")
         grey = np.zeros((self.height, self.width), np.uint8)
         if name == "dots":

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from simulator.live.stimulator.patterns import MARKERS, Pattern
+from startracker.arguments import of_kind, real_number, text
 from startracker.arrays import FloatArray, IntArray
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
+from startracker.detection.background import as_image
 from startracker.errors import InputError
 from startracker.front_end import Clock, find_stars
 from startracker.geometry.camera import Camera
@@ -47,6 +49,11 @@ class Photograph:
     saturation_dn: float | None = None
 
     def __post_init__(self) -> None:
+        text("name", self.name)
+        object.__setattr__(self, "image", as_image(self.image))
+        if self.saturation_dn is not None:
+            real_number("saturation_dn", self.saturation_dn, finite=False)
+        of_kind("camera", self.camera, Camera)
         expected = (self.camera.height, self.camera.width)
         if self.image.shape != expected:
             raise InputError(

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.live.stimulator.patterns import COLOURS, TOP_LEVEL
+from startracker.arguments import of_kind, pair, real_array, real_number, whole_number
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.kernels import kernel
@@ -61,7 +62,10 @@ class Curve:
 
     def __post_init__(self) -> None:
         for name in ("levels", "relative"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+            real_array(name, getattr(self, name), (None,), finite=False)
+            object.__setattr__(self, name, tuple(np.asarray(getattr(self, name)).tolist()))
+        if self.gamma is not None:
+            real_number("gamma", self.gamma, finite=False)
         if self.gamma is not None:
             if self.levels or self.relative or not 0.2 <= self.gamma <= 6.0:
                 raise InputError(f"a curve is a gamma from 0.2 to 6, or a table; got gamma {self.gamma}")
@@ -134,6 +138,17 @@ class Photometry:
     black: float = 0.0
 
     def __post_init__(self) -> None:
+        for side in pair("size", self.size):
+            whole_number("size", side, least=1)
+        for name in ("white_factor", "black"):
+            real_number(name, getattr(self, name), finite=False)
+        for name in ("magnitude", "curve"):
+            of_kind(name, getattr(self, name), (Mapping,))
+        for colour, value in self.magnitude.items():
+            real_number(f"magnitude of {colour}", value, finite=False)
+        for colour, one in self.curve.items():
+            of_kind(f"curve of {colour}", one, Curve)
+        real_array("uniformity", self.uniformity, (None,), finite=False)
         if not self.magnitude or set(self.magnitude) != set(self.curve) or set(self.magnitude) - set(COLOURS):
             raise InputError(f"a display needs a magnitude and a curve for some of {', '.join(COLOURS)}")
         numbers = [*self.magnitude.values(), self.white_factor, self.black, *self.uniformity]

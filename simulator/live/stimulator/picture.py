@@ -15,10 +15,11 @@ from simulator.light import body_rates_e_s, star_rates_e_s
 from simulator.live.stimulator.geometry import DisplayGeometry
 from simulator.live.stimulator.photometry import DITHERING, Photometry
 from simulator.scene import Scene
+from startracker.arguments import of_kind, real_array, real_number, text, whole_number
 from startracker.arrays import FloatArray, IntArray
 from startracker.constants import ARCSEC_RAD
 from startracker.errors import InputError
-from startracker.geometry.attitude import Attitude
+from startracker.geometry.attitude import Attitude, camera_attitude
 
 FAINT_MAG = 0.1
 """A star whose displayed brightness is further from the one wanted is counted as too faint, or as clipped."""
@@ -96,6 +97,12 @@ class Stimulator:
     uncertainty: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        of_kind("geometry", self.geometry, DisplayGeometry)
+        of_kind("photometry", self.photometry, Photometry)
+        of_kind("alignment", self.alignment, Attitude)
+        of_kind("uncertainty", self.uncertainty, (Mapping,))
+        real_number("spot_px", self.spot_px, finite=False)
+        text("dithering", self.dithering)
         if not 0.3 <= self.spot_px <= 10.0:
             raise InputError(f"a spot must be from 0.3 to 10 display pixels; got {self.spot_px:g}")
         if self.dithering not in DITHERING:
@@ -119,11 +126,14 @@ class Stimulator:
         number : int
             Of the picture, for temporal dithering.
         """
-        seen = np.asarray(directions, float) @ attitude.as_matrix().T @ self.alignment.as_matrix()
+        turn = camera_attitude("attitude", attitude).as_matrix().T @ self.alignment.as_matrix()
+        seen = real_array("directions", directions, (None, 3)) @ turn
+        magnitude = real_array("magnitude", magnitude, (len(seen),))
+        number = whole_number("number", number)
         ahead = np.flatnonzero(seen[:, 2] > 0.2)  # the lens model may fold back far outside the display
         position = self.geometry.to_pixels(seen[ahead])
         inside = self.geometry.collimator.contains(position)
-        return self.spots(position[inside], np.asarray(magnitude, float)[ahead[inside]], ahead[inside], number)
+        return self.spots(position[inside], magnitude[ahead[inside]], ahead[inside], number)
 
     def spots(self, position: FloatArray, magnitude: FloatArray, star: IntArray, number: int = 0) -> DisplayPicture:
         """Picture of stars at display pixels (M, 2)."""
@@ -148,12 +158,14 @@ class Stimulator:
 
     def limits(self, magnitudes: ArrayLike, positions: int = 400) -> list[Limit]:
         """Errors of the displayed stars by magnitude, at evenly distributed positions within the middle pixel."""
+        positions = whole_number("positions", positions, least=1, most=100_000)
+        values = np.atleast_1d(real_array("magnitudes", magnitudes)).ravel().tolist()
         middle = np.array(self.geometry.size) // 2
         step = np.arange(positions)[:, None] * np.array([0.7548776662466927, 0.5698402909980532]) % 1.0 - 0.5
         axes = self.geometry.to_directions(middle + np.array([[0.0, 0.0], [1.0, 0.0]]))
         pixel_arcsec = float(np.linalg.norm(axes[1] - axes[0])) / ARCSEC_RAD
         out = []
-        for magnitude in np.asarray(magnitudes, float).tolist():
+        for magnitude in values:
             brightness, centroid, clipped = np.empty(positions), np.empty((positions, 2)), False
             for n, at in enumerate(middle + step):
                 one = self.spots(at[None], np.array([magnitude]), np.zeros(1, np.int64), n)
@@ -188,6 +200,8 @@ def point_sources(scene: Scene, focal_plane: FocalPlane) -> tuple[FloatArray, Fl
     apparent directions (N, 3), ICRS; magnitudes (N,) in the tracker's band: that of a dwarf with B−V = 0 that gives as
     many electrons. Hidden sources and disks wider than the tracker's pixel (Sun, Moon) are not among them.
     """
+    of_kind("scene", scene, Scene)
+    of_kind("focal_plane", focal_plane, FocalPlane)
     photometer, sky, bodies = focal_plane.photometer, focal_plane.sky, scene.bodies
     small = np.flatnonzero(2.0 * bodies.angular_radius_rad < focal_plane.camera.pixel_rad)
     rate = [

@@ -12,9 +12,8 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from simulator.scenario import Scenario
+from simulator.scenario import Scenario, ScenarioError
 from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
 from simulator.study.coverage.prediction import Prediction, left_out, predict
 from simulator.study.specification.requirements import AVAILABILITY, Requirement, Specification, specification_of
@@ -157,9 +156,8 @@ def changed(scenario: Scenario, parameter: str, value: float) -> Scenario:
     possible."""
     try:
         return scenario.changed(PARAMETERS[parameter][2](scenario, value))
-    except ValidationError as error:
-        reasons = [str(problem.get("ctx", {}).get("error", problem["msg"])) for problem in error.errors()]
-        raise InputError("; ".join(" ".join(text.split()) for text in reasons)) from error
+    except ScenarioError as error:
+        raise InputError("; ".join(str(error).splitlines())) from error
 
 
 class Search:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 
+from simulator.checks import as_scenario
 from simulator.mission.spice import need_spiceypy
 from simulator.scenario import Scenario
 from simulator.study.result_files import json_text, now_utc, parquet_bytes, write_files
+from simulator.study.result_options import check_run_options
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
 from simulator.study.sequence.frames import SequenceRunner
@@ -44,7 +47,7 @@ _FLUSH_FRAMES = 500
 
 
 def run_sequence(
-    scenario: Scenario,
+    scenario: Scenario | str | os.PathLike[str],
     *,
     out: str | Path | None = None,
     single: bool = False,
@@ -58,8 +61,8 @@ def run_sequence(
 
     Parameters
     ----------
-    scenario : Scenario
-        The scenario, with its ``sequence`` section.
+    scenario : Scenario or path
+        The scenario, with its ``sequence`` section, or the name of an included one or of a file.
     out : path, optional
         Folder for ``sequence.parquet``, ``sequence.json``, ``sequence.html``, ``scenario.resolved.yaml`` and, with
         `animate`, ``sequence.gif`` and, if ffmpeg is installed, ``sequence.mp4``; with `ccsds` and `spice` the files of
@@ -90,7 +93,8 @@ def run_sequence(
     Ctrl-C ends the sequence after the current frame; results and files contain the frames so far, and the summary has
     ``interrupted``.
     """
-    asked = _Asked(single, animate, ccsds, spice)
+    check_run_options(out, progress, single=single, animate=animate, ccsds=ccsds, spice=spice, force=force)
+    scenario, asked = as_scenario(scenario), _Asked(single, animate, ccsds, spice)
     if out is None:
         return _run(scenario, None, asked, progress)
     if spice:

@@ -1,0 +1,252 @@
+"""Checks of arguments: values of a wrong type or outside their range are an `InputError` that names the argument."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, TypeVar, get_args, overload
+
+import numpy as np
+
+from startracker.arrays import FloatArray
+from startracker.errors import InputError
+from startracker.interop import plain
+
+T = TypeVar("T")
+_TRUTH: tuple[Any, ...] = (bool, np.bool_)
+ABOVE_0 = math.ulp(0.0)
+"""Lower limit of a positive number."""
+
+
+def real_number(
+    name: str,
+    given: Any,
+    *,
+    unit: str = "",
+    least: float = -math.inf,
+    most: float = math.inf,
+    finite: bool = True,
+    what: str = "a number",
+) -> float:
+    """Argument as a float: a real number, also of NumPy, or an astropy ``Quantity`` if there is a `unit`.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument.
+    given : object
+        As given by the caller.
+    unit : str
+        Into which a quantity is converted.
+    least, most : float
+        Limits, inclusive.
+    finite : bool
+        Whether NaN and infinities are refused; otherwise limits do not apply to NaN.
+    what : str
+        What the argument must be, in the message.
+
+    Raises
+    ------
+    InputError
+        For anything else, complex numbers, text and truth values included.
+    """
+    value = plain(given, unit, name) if unit else given
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, Real) and type(value) not in _TRUTH:
+        try:
+            number = float(value)
+        except OverflowError:  # an integer beyond 1.8e308
+            number, finite = math.nan, True
+        within = least <= number <= most and (math.isfinite(number) or not finite)
+        if within or (math.isnan(number) and not finite):
+            return number
+    raise InputError(f"{name} must be {_range(what, least, most, unit)}; got {_shown(given)}")
+
+
+def whole_number(name: str, given: Any, *, least: float = -math.inf, most: float = math.inf) -> int:
+    """Argument as an integer; a float without a fraction is one.
+
+    Raises
+    ------
+    InputError
+        For anything else, or a number outside the limits.
+    """
+    value = given[()] if isinstance(given, np.ndarray) and given.ndim == 0 else given
+    good = isinstance(value, Integral) or (isinstance(value, float | np.floating) and float(value).is_integer())
+    if good and type(value) not in _TRUTH and least <= value <= most:
+        return int(value)
+    raise InputError(f"{name} must be {_range('a whole number', least, most)}; got {_shown(given)}")
+
+
+def real_array(
+    name: str, given: Any, shape: tuple[int | None, ...] | None = None, *, unit: str = "", finite: bool = True
+) -> FloatArray:
+    """Argument as an array of real numbers, a copy unless it is one already.
+
+    Parameters
+    ----------
+    name : str
+        Of the argument.
+    given : array_like or astropy Quantity
+        As given by the caller.
+    shape : tuple, optional
+        Required shape; None in it stands for any length.
+    unit : str
+        Into which a quantity is converted.
+    finite : bool
+        Whether NaN and infinities are refused.
+
+    Raises
+    ------
+    InputError
+        For anything else; complex numbers have no real value, and text is not converted.
+    """
+    value = plain(given, unit, name) if unit else given
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError):  # rows of different lengths
+        array = np.empty(0, dtype=object)
+    fits = shape is None or (
+        array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    )
+    if array.dtype.kind not in "iuf" or not fits:
+        needed = "" if shape is None else f" with the shape {_shape_text(shape)}"
+        got = f"the shape {array.shape}" if array.dtype.kind in "iuf" else _shown(given)
+        raise InputError(f"{name} must be real numbers{needed}{f', {unit}' if unit else ''}; got {got}")
+    array = array.astype(np.float64, copy=False)
+    if finite and not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite numbers; got {_shown(given)}")
+    return array
+
+
+@overload
+def of_kind(name: str, given: Any, kinds: type[T], advice: str = "") -> T: ...
+
+
+@overload
+def of_kind(name: str, given: Any, kinds: tuple[Any, ...], advice: str = "") -> Any: ...
+
+
+def of_kind(name: str, given: Any, kinds: Any, advice: str = "") -> Any:
+    """The argument, if it is an object of one of these classes.
+
+    Raises
+    ------
+    InputError
+        If it is not; `advice` says how one is made.
+    """
+    if isinstance(given, kinds):
+        return given
+    names = " or ".join("None" if kind is type(None) else kind.__name__ for kind in _classes(kinds))
+    raise InputError(f"{name} must be {_article(names)} {names}{f' ({advice})' if advice else ''}; got {_shown(given)}")
+
+
+def pair(name: str, given: Any) -> tuple[float, float]:
+    """Argument as two finite real numbers.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    one, other = real_array(name, given, (2,)).tolist()
+    return one, other
+
+
+def names_of(given: Any) -> tuple[str, ...]:
+    """Argument as names: a sequence of text, and not a single text.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+    """
+    if isinstance(given, Iterable) and not isinstance(given, str | bytes):
+        names = tuple(given)
+        if all(isinstance(name, str) for name in names):
+            return names
+    raise InputError(f"names must be given as a list of text; got {_shown(given)}")
+
+
+def switch(name: str, given: Any) -> bool:
+    """Argument as a truth value: True or False, also of NumPy, or 1 or 0.
+
+    Raises
+    ------
+    InputError
+        For anything else: text such as "no" would be true.
+    """
+    if isinstance(given, bool | np.bool_) or (isinstance(given, int) and given in (0, 1)):
+        return bool(given)
+    raise InputError(f"{name} must be True or False; got {_shown(given)}")
+
+
+def file_path(name: str, given: Any) -> Path:
+    """Argument as the path of a file: text or an `os.PathLike`.
+
+    Raises
+    ------
+    InputError
+        For anything else, or a name that no file can have.
+    """
+    if isinstance(given, str) or (isinstance(given, os.PathLike) and isinstance(os.fspath(given), str)):
+        if "\0" in str(given):
+            raise InputError(f"{str(given)!r} is not a file name: it contains a null character")
+        return Path(given)
+    raise InputError(f"{name} must be the name of a file; got {_shown(given)}")
+
+
+def text(name: str, given: Any) -> str:
+    """The argument, if it is text.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    if isinstance(given, str):
+        return given
+    raise InputError(f"{name} must be text; got {_shown(given)}")
+
+
+def _classes(kinds: Any) -> Iterator[type]:
+    """The classes of nested tuples and unions."""
+    parts = kinds if isinstance(kinds, tuple) else get_args(kinds)
+    if not parts:
+        yield kinds
+    for part in parts:
+        yield from _classes(part)
+
+
+def _article(word: str) -> str:
+    return "an" if word[:1] in "AEIOUaeiou" else "a"
+
+
+def _range(what: str, least: float, most: float, unit: str = "") -> str:
+    tail = f", {unit}" if unit else ""
+    if math.isfinite(least) and math.isfinite(most):
+        return f"{what} from {least:g} to {most:g}{tail}"
+    if math.isfinite(least):
+        positive = least == ABOVE_0
+        return f"{what.replace('a ', 'a positive ', 1)}{tail}" if positive else f"{what} of at least {least:g}{tail}"
+    return f"{what} of at most {most:g}{tail}" if math.isfinite(most) else f"{what}{tail}"
+
+
+def _shape_text(shape: tuple[int | None, ...]) -> str:
+    lengths = ["N" if length is None else str(length) for length in shape]
+    return f"({', '.join(lengths)}{',' if len(lengths) == 1 else ''})"
+
+
+def _shown(given: Any) -> str:
+    """A value as quoted in a message: one short line."""
+    if isinstance(given, np.ndarray) and given.ndim:
+        return f"an array of {given.dtype} with the shape {given.shape}"
+    try:
+        shown = " ".join(repr(given).split())
+    except Exception:
+        shown = ""
+    return shown if 0 < len(shown) <= 60 else f"an object of {type(given).__name__}"
