@@ -79,7 +79,7 @@ class TrackingSession:
         self.settings = settings or TrackingSettings()
         self.exposure_s = exposure_s
         self.state = TrackingState()
-        self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
+        self._watched = self._new_filter()
         self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
         self._frame: NDArray[Any] | bytes | None = None
         self._used_s: float | None = None
@@ -98,6 +98,9 @@ class TrackingSession:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._lock = threading.RLock()
+
+    def _new_filter(self) -> WatchedFilter:
+        return WatchedFilter(self.noise, self.settings.false_rejection, self.tracker.direction_estimator)
 
     # ------------------------------------------------------------------ what the filter knows
     @property
@@ -144,7 +147,7 @@ class TrackingSession:
         if attitude is not None and not (math.isfinite(sigma_deg) and sigma_deg > 0.0):
             raise InputError(f"sigma_deg must be a positive angle in degrees; got {sigma_deg}")
         with self._lock:
-            self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
+            self._watched = self._new_filter()
             self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
             self.state, self._used_s = TrackingState(), None
             if attitude is not None:
