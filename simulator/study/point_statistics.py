@@ -38,7 +38,8 @@ def point_statistics(
 
     For each axis `mean_deg`, `rms_deg`, `three_sigma_deg` (three times the rms), `p997_deg` (99.7th percentile of the
     magnitude), and the 95 % bootstrap interval of the rms as `rms_low_deg` and `rms_high_deg`. Errors are those of the
-    solved trials. The identification rate is the fraction of trials solved with the right stars, with Wilson's 95 % interval.
+    solved trials. The identification rate is the fraction of trials solved with the right stars, with Wilson's 95 %
+    interval.
 
     Parameters
     ----------

@@ -248,7 +248,6 @@ def outliers(columns: Columns) -> list[dict[str, Any]]:
     Each has its ``index``, ``why``, the error about every axis in degrees, ``stars_matched`` and ``nees`` if available;
     ``boresight render --index`` renders it again. In order of their indices.
     """
-    solved = np.asarray(columns["status"] == "solved", dtype=bool)
     _, inconsistent, wrong = outcome_flags(columns)
     why: dict[int, list[str]] = {int(i): ["wrong attitude"] for i in np.flatnonzero(wrong)}
     for row in np.flatnonzero(inconsistent):

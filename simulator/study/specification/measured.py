@@ -137,6 +137,12 @@ class Measured:
         return int((outcome_flags(self.columns)[0] & self._wrong).sum())
 
     @property
+    def gross(self) -> int:
+        """Those of them that are inconsistent and beyond the specification, with the right stars."""
+        misidentified, inconsistent, _ = outcome_flags(self.columns)
+        return int((inconsistent & ~misidentified & self._wrong).sum())
+
+    @property
     def untested(self) -> tuple[str, ...]:
         """The specified rate or what is outside the exclusion angles, if no frame has it."""
         if len(self.counted) == 0 or self.counted.any():

@@ -62,6 +62,10 @@ class Evidence(Protocol):
         """Those of them with a misidentified star."""
 
     @property
+    def gross(self) -> int:
+        """Those of them that are inconsistent and beyond the specification, with the right stars."""
+
+    @property
     def untested(self) -> tuple[str, ...]:
         """Conditions of the specification that no frame has, as sentences."""
 
@@ -170,7 +174,8 @@ class Judgement:
     untested: tuple[str, ...] = ()
     """Conditions that were not tested; the specification is then at best `UNDECIDED`."""
     misidentified: int = 0
-    """Wrong attitudes with a misidentified star; the others are inconsistent and beyond a limit."""
+    gross: int = 0
+    """Wrong attitudes with a misidentified star, and those that are inconsistent and beyond a limit."""
 
     @property
     def state(self) -> str:
@@ -187,11 +192,10 @@ class Judgement:
 
     @property
     def kinds(self) -> str:
-        """What the wrong attitudes are, for display."""
-        gross = self.wrong - self.misidentified
+        """What the wrong attitudes are, for display; empty if it is not known."""
         parts = [f"{self.misidentified} misidentified"] if self.misidentified else []
-        parts += [f"{gross} inconsistent and beyond the specification"] if gross else []
-        return f" ({', '.join(parts)})"
+        parts += [f"{self.gross} inconsistent and beyond the specification"] if self.gross else []
+        return f" ({', '.join(parts)})" if parts else ""
 
     @property
     def advice(self) -> str:
@@ -250,7 +254,8 @@ def judge(specification: Specification, evidence: Evidence) -> Judgement:
         (`simulator.study.specification.predicted`).
     """
     verdicts = tuple(Verdict(each, evidence.estimate(each)) for each in specification.requirements)
-    return Judgement(verdicts, evidence.basis, evidence.unit, evidence.wrong, evidence.untested, evidence.misidentified)
+    wrong, misidentified, gross = evidence.wrong, evidence.misidentified, evidence.gross
+    return Judgement(verdicts, evidence.basis, evidence.unit, wrong, evidence.untested, misidentified, gross)
 
 
 def frames_needed(requirement: Requirement) -> int:
