@@ -192,6 +192,10 @@ def test_an_outcome_by_its_definition():
     assert outcome_of(0, 32.0, far, limits) == (False, True, True)
     assert outcome_of(1, 3.0, near, limits) == (True, False, True)
     assert outcome_of(0, math.nan, far, limits) == (False, False, False)  # no covariance, which nothing contradicts
+    # of two limits about an axis the wider one
+    two = Specification((Requirement("roll_p50", 0.001, 50.0, "roll"), *limits.errors))
+    assert not outcome_of(0, 32.0, near, two).wrong
+    assert outcome_of(0, 32.0, far, two).wrong
     # without a limit on errors: 0.1° of rotation in all, as in the benchmarks
     without = Specification((Requirement("availability", 0.99),))
     assert not outcome_of(0, 1e9, error | {"cross_x": 0.07, "about_boresight": 0.07}, without).wrong

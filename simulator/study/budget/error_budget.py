@@ -238,8 +238,8 @@ def _errors(table: Any) -> _Run:
     names = [f"bound_{axis}_deg" for axis in CAMERA_AXES]
     known = all(name in table.column_names for name in names)
     bound = np.stack([as_array(table[name]) for name in names], axis=1) if known else np.full_like(errors, math.nan)
-    names = ("status", "wrong", "misidentified", "inconsistent", "inconsistent_cause")
-    said = {name: np.array(table[name].to_pylist()) for name in names if name in table.column_names}
+    words = ("status", "wrong", "misidentified", "inconsistent", "inconsistent_cause")
+    said = {word: np.array(table[word].to_pylist()) for word in words if word in table.column_names}
     return _Run(errors, identified(said), solved, bound)
 
 

@@ -6,8 +6,8 @@
     The error lies beyond 5 σ of the stated covariance (`INCONSISTENT_NEES`). The attitude may be as good as required,
     but is stated too confidently.
 ``wrong``
-    Misidentified; or inconsistent, and beyond the specification as well: an error exceeds its limit. Without any limit
-    on an error the rotation must exceed `GROSS_DEG`. (A scenario always has limits: those of
+    Misidentified; or inconsistent, and beyond the specification as well: an error exceeds its limit, of several about
+    one axis (at different percentiles) the widest. Without any limit on an error the rotation must exceed `GROSS_DEG`. (A scenario always has limits: those of
     `simulator.scenario.schema_specification` unless it names its own.)
 """
 
@@ -83,9 +83,13 @@ def outcome_of(
 
 
 def exceeds_limit(error_deg: Mapping[str, float], specification: Specification) -> bool:
-    """Whether an error exceeds a limit of the specification, or `GROSS_DEG` if it has none on errors."""
-    if specification.errors:
-        return bool(specification.worst_share(error_deg) > 1.0)
+    """Whether an error exceeds the widest limit of the specification about its axis, or the rotation `GROSS_DEG` if the
+    specification has no limit on errors."""
+    widest: dict[str, float] = {}
+    for each in specification.errors:
+        widest[each.axis] = max(each.limit, widest.get(each.axis, 0.0))
+    if widest:
+        return bool(Specification.of_limits(widest).worst_share(error_deg) > 1.0)
     return math.hypot(*(error_deg[axis] for axis in _CAMERA_AXES)) > GROSS_DEG
 
 
