@@ -1,11 +1,14 @@
 """Every registered algorithm is called under its name: no name of a registry stands for another one's work.
 
-Each is registered a second time, as a package would add it, in a wrapper that counts its calls; the answer comes
-through the public interface.
+By its own name each function itself must run, which a profiler sees: code that recognises a function and runs another
+method in its place would be found. Then each is registered a second time, as a package would add it, in a wrapper that
+counts its calls. The answer comes through the public interface.
 """
 
+import contextlib
 import functools
 import itertools
+import sys
 
 import numpy as np
 import pytest
@@ -44,6 +47,23 @@ def counted(monkeypatch):
     return register
 
 
+@contextlib.contextmanager
+def profiled(function):
+    """Whether the code of a function runs: its calls as a list."""
+    calls, code = [], getattr(function, "func", function).__code__  # of a partial, the function
+
+    def seen(frame, event, _):
+        if event == "call" and frame.f_code is code:
+            calls.append(frame.f_code.co_name)
+
+    before = sys.getprofile()
+    sys.setprofile(seen)
+    try:
+        yield calls
+    finally:
+        sys.setprofile(before)
+
+
 @pytest.fixture(scope="module")
 def field():
     """Pixels and fluxes of the guide stars of a field with Orion's belt, with errors of 0.1 px, and the guide stars."""
@@ -64,6 +84,9 @@ def test_detectors(name, counted, frame):
     mine, calls = counted(detection.DETECTORS, name)
     StarTracker(frame.camera, detector=mine).solve(frame)
     assert calls
+    with profiled(detection.DETECTORS[name]) as own:
+        StarTracker(frame.camera, detector=name).solve(frame)
+    assert own
 
 
 @pytest.mark.parametrize("name", centroiding.METHODS)
@@ -71,6 +94,9 @@ def test_centroiders(name, counted, frame):
     mine, calls = counted(centroiding.METHODS, name)
     assert StarTracker(frame.camera, centroider=mine).solve(frame).solved
     assert calls
+    with profiled(centroiding.METHODS[name]) as own:
+        StarTracker(frame.camera, centroider=name).solve(frame)
+    assert own
 
 
 def test_centroiders_differ(frame):
@@ -83,9 +109,35 @@ def test_identifiers(name, counted, field):
     mine, calls = counted(identification.METHODS, name)
     assert StarTracker(CAMERA, identifier=mine).solve_centroids(*field).status
     assert calls
+    with profiled(identification.METHODS[name]) as own:
+        StarTracker(CAMERA, identifier=name).solve_centroids(*field)
+    assert own
 
 
 # ---------------------------------------------------------------------- estimators
+@pytest.mark.parametrize("name", estimation.METHODS)
+def test_estimators_by_their_own_names(name, field, frame):
+    """For a list, an image, a tracked frame, and a field whose focal length is fitted."""
+    function = estimation.METHODS[name]
+    with profiled(function) as of_list:
+        assert StarTracker(CAMERA, estimator=name).solve_centroids(*field).solved
+    assert of_list
+    with profiled(function) as of_image:
+        assert StarTracker(frame.camera, estimator=name).solve(frame).solved
+    assert of_image
+    if name == "field_fit":  # the filter's update with the stars and the joint fit of lens and attitude are this fit
+        return
+    session = TrackingSession(StarTracker(CAMERA, estimator=name))
+    session.update_centroids(*field, 0.0)
+    with profiled(function) as of_tracked:
+        assert session.update_centroids(field[0] + [0.01, 0.0], field[1], 1.0).solved
+    assert session.state.mode == "tracking"
+    assert of_tracked
+    with profiled(function) as of_free:
+        assert StarTracker(CAMERA, estimator=name, focal_error=0.02).solve_centroids(*field).solved
+    assert of_free
+
+
 @pytest.mark.parametrize("name", estimation.METHODS)
 def test_estimators_of_lists_and_tracked_frames(name, counted, field):
     mine, calls = counted(estimation.METHODS, name)
@@ -184,8 +236,12 @@ def rendered(*values):
 @pytest.mark.parametrize("name", PSFS)
 def test_psf_models(name, counted):
     mine, calls = counted(PSFS, name)
-    rendered(f"optics.psf.model={mine}", "optics.psf.sigma_px=null", "optics.psf.first_dark_ring_px=null")
+    own_width = ["optics.psf.sigma_px=null", "optics.psf.first_dark_ring_px=null"]
+    rendered(f"optics.psf.model={mine}", *own_width)
     assert calls
+    with profiled(PSFS[name]) as own:
+        rendered(f"optics.psf.model={name}", *own_width)
+    assert own
 
 
 @pytest.mark.parametrize("name", SPECTRA)
