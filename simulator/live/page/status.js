@@ -57,7 +57,7 @@ export class Status {
     if (!solution) return ["wait", state?.source === "external" ? "Waiting for an attitude from outside" : `Waiting for the first frame${held}`];
     if (!solved) return ["bad", `Lost: ${words(solution.status)}${solution.mode === "coasting" ? ", coasting" : ""}${held}`];
     if (truth?.index === solution.index) {
-      if (truth.misidentified) return ["bad", `Solved, but misidentified by the truth${held}`];
+      if (truth.misidentified) return ["bad", `Solved, but a star is misidentified${held}`];
       if (truth.wrong) return ["bad", `Solved, but inconsistent and beyond the specification${held}`];
       if (truth.inconsistent) return ["warn", `Solved, but inconsistent with its covariance${held}`];
     }

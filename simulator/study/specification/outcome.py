@@ -7,8 +7,8 @@
     but is stated too confidently.
 ``wrong``
     Misidentified; or inconsistent, and beyond the specification as well: an error exceeds its limit, of several about
-    one axis (at different percentiles) the widest. Without any limit on an error the rotation must exceed `GROSS_DEG`. (A scenario always has limits: those of
-    `simulator.scenario.schema_specification` unless it names its own.)
+    one axis (at different percentiles) the widest. Without any limit on an error the rotation must exceed `GROSS_DEG`.
+    (A scenario always has limits: those of `simulator.scenario.schema_specification` unless it names its own.)
 """
 
 from __future__ import annotations
