@@ -67,7 +67,9 @@ def test_an_inconsistent_attitude_within_the_specification_does_not_fail_it():
     assert found["rate_interval95"] == pytest.approx([0.00511, 0.04317], abs=1e-5)
     assert found["causes"] == {"displaced": 2, "noise": 1}
     assert found["likely_cause"] == "displaced"
-    assert found["text"].startswith("3 of 200 attitudes (1.50 %, 95 % interval 0.51 to 4.32 %) are inconsistent")
+    assert found["text"].startswith(
+        "Inconsistent with the stated covariance: 3 of 200 attitudes (1.50 %, 95 % interval 0.51 to 4.32 %)"
+    )
     assert found["text"].endswith(f"likely cause: {CAUSES['displaced']} (2 of 3)")
     assert outcome_text(summary) == "none wrong, 3 inconsistent"
     assert outcome_counts_text(summary) == "0 wrong, 3 inconsistent"

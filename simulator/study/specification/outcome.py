@@ -163,9 +163,9 @@ def inconsistency(columns: Columns) -> dict[str, Any] | None:
         "beyond_limit": int((inconsistent & wrong & ~misidentified).sum()),
         "causes": {name: number for name, number in causes.items() if number},
         "likely_cause": likely,
-        "text": f"{count} of {total} attitudes ({100 * count / total:.2f} %, 95 % interval {100 * low:.2f} to "
-        f"{100 * high:.2f} %) are inconsistent with their stated covariance; likely cause: {CAUSES[likely]}{detail}"
-        + ("" if likely == BIAS else f" ({causes[likely]} of {count})"),
+        "text": f"Inconsistent with the stated covariance: {count} of {total} attitudes ({100 * count / total:.2f} %, "
+        f"95 % interval {100 * low:.2f} to {100 * high:.2f} %); likely cause: {CAUSES[likely]}{detail}"
+        + ("" if likely == BIAS or causes[likely] == count else f" ({causes[likely]} of {count})"),
     }
 
 
