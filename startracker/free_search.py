@@ -10,6 +10,8 @@ import numpy as np
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.errors import InputError
+from startracker.estimation import Estimator
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
@@ -17,7 +19,7 @@ from startracker.identification import free_scale
 from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.free_scale import FreeFit
-from startracker.identification.last_fit import last_fit
+from startracker.identification.last_fit import estimated, last_fit
 from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.settings import IdentificationSettings
@@ -55,6 +57,8 @@ class FreeSearch:
     """Initial projection and distortion; the focal length is that of the band."""
     operations: int = 0
     """Operations counted so far (`IdentificationSettings.max_operations_free_scale`)."""
+    estimator: Estimator | None = None
+    """Method that gives the attitude of the matched stars, with the fitted lens; None: the fit of lens and attitude."""
 
     def __post_init__(self) -> None:
         most = self.settings.max_centroids
@@ -186,6 +190,12 @@ class FreeSearch:
         xy, chance = self.xy, self._log_chance(fit)
         guide = self._guide(sky, free_scale.depth(len(xy), self.width, self.height, free_scale.field_deg(fit.camera)))
         fit = last_fit(fit, xy, self.variance_px2, guide)
+        if self.estimator is not None:
+            try:
+                fit = estimated(fit, xy, self.variance_px2, guide, self.estimator)
+            except InputError as error:  # as plate constants of a mirrored field
+                reason = f"{len(fit.pairs)} of {len(xy)} stars fit; but the estimator failed: {error}"
+                return Solution(Status.NO_MATCH, reason, centroids=xy)
         used, chosen = fit.pairs[:, 0], fit.pairs[:, 1]
         residual = xy[used] - fit.camera.project(sky.directions[chosen] @ fit.matrix.T)
         stars = MatchedStars(

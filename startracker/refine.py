@@ -12,8 +12,8 @@ import numpy as np
 from startracker.arrays import BoolArray, FloatArray, IntArray, filled, same
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
-from startracker.estimation import OPTIMAL, Estimator
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
+from startracker.estimation.field_fit import Estimator, FieldFit, takes_field
 from startracker.estimation.image_errors import (
     AMPLITUDE_SIGMA,
     NO_IMAGE_ERRORS,
@@ -307,16 +307,26 @@ class _Field(NamedTuple):
         return pairs, fits, merged
 
     def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
-        """Attitude by the estimator, and its covariance."""
+        """Attitude by the estimator, and its covariance.
+
+        An estimator is given the matched stars as directions, without the displacements that the fit found, and their
+        errors as the fit estimated them. Its own covariance does not contain what remains unknown of the camera, nor
+        that errors known only from the residuals of a few stars are uncertain.
+        """
         pose, matrix, used, camera = fit.pose, fit.matrix, fit.used, self.camera
-        covariance, measured = pose.covariance, self._corrected(fit.measured, fit.errors)
-        if estimator not in OPTIMAL:  # with its own attitude and covariance, for the errors estimated by the fit
-            reference = self.guide.directions[used[:, 1]]
-            _, offset, slopes, extra = self.seen(used[:, 1], matrix)
-            pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
-            seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
-            estimate = estimator(seen, reference, pose.sigma_px / pixels_per_rad)
-            matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
+        measured = self._corrected(fit.measured, fit.errors)
+        reference = self.guide.directions[used[:, 1]]
+        _, offset, slopes, extra = self.seen(used[:, 1], matrix)
+        pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
+        seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
+        sigma_rad = pose.sigma_px / pixels_per_rad
+        if takes_field(estimator):
+            estimate = estimator(seen, reference, sigma_rad, field=FieldFit(matrix, pose.covariance))
+            matrix, covariance = estimate.matrix, estimate.covariance
+        else:
+            estimate = estimator(seen, reference, sigma_rad)
+            factor = 1.0 if self.known else few_stars_factor(max(2 * len(used) - 3, 1))
+            matrix, covariance = estimate.matrix, estimate.covariance * factor + pose.camera_part
         if not corrects_aberration(self.observer):
             covariance = covariance + unknown_aberration(matrix)
         return matrix, covariance

@@ -23,6 +23,7 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.display import described
 from startracker.errors import InputError
+from startracker.estimation.field_fit import Estimator, takes_field
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
@@ -90,7 +91,7 @@ class StarTracker:
         detector: str = "components",
         centroider: str = "moment",
         identifier: str = "adaptive",
-        estimator: str = "svd",
+        estimator: str = "field_fit",
         *,
         detection: DetectionSettings | None = None,
         centroid: CentroidSettings | None = None,
@@ -114,6 +115,11 @@ class StarTracker:
     def __repr__(self) -> str:
         stars = f"{len(self.guide):,} guide stars of {self.guide.catalog.name} to V {self.guide.v_mag[-1]:.1f}"
         return described("StarTracker", repr(self.camera), stars, " → ".join(self.methods))
+
+    @property
+    def direction_estimator(self) -> Estimator | None:
+        """The estimator, if it computes an attitude from directions; None for the fit of the field."""
+        return None if takes_field(self._estimate) else self._estimate
 
     # ------------------------------------------------------------------ public methods
     def solve(
@@ -313,6 +319,7 @@ class StarTracker:
             observer,
             variance_px2=stars.variance_px2,
             rough=camera,
+            estimator=self.direction_estimator,
         )
         fov = camera.undistorted_fov_deg
         band = (fov * (1.0 - error), fov, fov * (1.0 + error))

@@ -191,6 +191,10 @@ class SolveRequest:
     method: Annotated[
         str | None, option("--method", "NAME", "Identifier for a known camera; default: adaptive.", _CAMERA)
     ] = None
+    estimator: Annotated[
+        str | None,
+        option("--estimator", "NAME", "Attitude estimator for a known camera; default: field_fit.", _CAMERA),
+    ] = None
     catalog: Catalog = "hipparcos"
     magnitude_limit: Annotated[
         float, option("--magnitude-limit", "V", "Magnitude of the faintest guide star.", _CAMERA)

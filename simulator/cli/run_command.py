@@ -9,7 +9,7 @@ from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
 from simulator.cli.requests import RunRequest
 from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
-from simulator.cli.verdicts import print_judgement
+from simulator.cli.verdicts import outcome_line, print_inconsistency, print_judgement
 from simulator.study.run import RESULT_FILES, Study, run
 from simulator.study.statistics import AXES, BODY_AXES
 from simulator.study.texts import deg_text
@@ -79,10 +79,11 @@ def _print(study: Study, folder: Path, console: Console) -> None:
     print_judgement(study.judgement, console)
     console.print(
         f"{summary['solved']} of {summary['trials']} frames solved, "
-        + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")
+        + outcome_line(summary)
         + f"; identified {100 * summary['identification_rate']:.2f} % "
         f"(95 % interval {100 * low:.2f} to {100 * high:.2f} %)"
     )
+    print_inconsistency(summary, console)
     console.print(
         f"{summary['trials_per_second']:.1f} trials per second on {summary['workers']} process"
         + ("es" if summary["workers"] > 1 else "")

@@ -9,7 +9,7 @@ from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
 from simulator.cli.requests import RunRequest
 from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
-from simulator.cli.verdicts import print_judgement
+from simulator.cli.verdicts import outcome_cell, outcome_line, print_inconsistency, print_judgement
 from simulator.study.sequence.animation import find_ffmpeg
 from simulator.study.sequence.result import Sequence
 from simulator.study.sequence.run import run_sequence
@@ -70,9 +70,10 @@ def _print(sequence: Sequence, console: Console) -> None:
     print_judgement(sequence.judgement, console)
     console.print(
         f"An attitude for {100.0 * summary['availability']:.2f} % of {summary['duration_s']:g} s, "
-        + (f"[red]{summary['wrong']} wrong[/]" if summary["wrong"] else "none wrong")
+        + outcome_line(summary)
         + f"; longest outage {summary['longest_outage_s']:g} s"
     )
+    print_inconsistency(summary, console)
     held = [f"{mode.replace('_', ' ')} {seconds:g} s" for mode, seconds in summary["time_in_mode_s"].items() if seconds]
     console.print("; ".join(held))
     nees = summary["nees"]
@@ -97,7 +98,7 @@ def _print_heads(heads: dict[str, Any], console: Console) -> None:
             [
                 name,
                 str(head["solved"]),
-                str(head["wrong"]),
+                outcome_cell(head),
                 *(deg_text(errors[axis]["rms"]) for axis in BODY_AXES),
                 str(used["used"] + used["started"]),
                 str(used["rejected"] + used["restarted"] + used["too_late"]),

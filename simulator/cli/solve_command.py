@@ -257,13 +257,14 @@ class _Solver:
         by_hand = request.fov_deg is not None
         camera = job.camera
         if camera is None:
-            if request.method is not None:
-                raise InputError(
-                    f"{job.name}: --method needs --camera or --fov; without them the field of view is found first, "
-                    "by four-star patterns"
-                )
+            for option, name in (("--method", request.method), ("--estimator", request.estimator)):
+                if name is not None:
+                    raise InputError(
+                        f"{job.name}: {option} needs --camera or --fov; without them the field of view is found first, "
+                        "by four-star patterns, and fitted together with the attitude"
+                    )
             return self._without_camera(job)
-        if not by_hand or request.method is not None:
+        if not by_hand or request.method is not None or request.estimator is not None:
             return self._with_camera(job, camera)
         if job.xy is None:
             solution = self._without_camera(job)
@@ -310,6 +311,7 @@ class _Solver:
                 catalog=request.catalog,
                 magnitude_limit=request.magnitude_limit,
                 identifier=request.method or "adaptive",
+                estimator=request.estimator or "field_fit",
             )
             self.trackers[camera] = tracker
         if job.xy is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from simulator.cli.terminal import print_table
-from simulator.cli.verdicts import coloured, print_judgement
+from simulator.cli.verdicts import coloured, outcome_cell, print_judgement
 from simulator.study.coverage.boresights import everything_excluded
 from simulator.study.design.search import PARAMETERS
 from simulator.study.specification.requirements import Requirement
@@ -101,7 +101,7 @@ def print_verified(verified: Verified, console: Console) -> None:
         rows.append((
             f"{run.value:.4g}",
             f"{run.solved} of {run.trials}",
-            str(run.wrong),
+            outcome_cell({"wrong": run.wrong, "inconsistent": run.inconsistent}),
             *(f"{deg_text(found[e.name].estimate.value)} ({_ratio(run.ratio[e.name])})" for e in errors),
             coloured(run.judgement.state),
         ))  # fmt: skip

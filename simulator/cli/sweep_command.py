@@ -13,7 +13,7 @@ from rich.console import Console
 from simulator.cli.checks import at_least, processes
 from simulator.cli.requests import SweepRequest
 from simulator.cli.terminal import WorkBar, open_console, print_table
-from simulator.cli.verdicts import coloured
+from simulator.cli.verdicts import coloured, outcome_cell
 from simulator.paths import write_atomically
 from simulator.study.statistics import BODY_AXES
 from simulator.study.sweep.files import RESULT_FILES
@@ -86,7 +86,7 @@ def _print(sweep: Sweep, console: Console) -> None:
         statistics = point["statistics"]
         values = [value_text(point["values"][path]) for path in paths]
         errors = [interval_text(statistics, axis) for axis in BODY_AXES]
-        wrong = f"[red]{statistics['wrong']}[/]" if statistics["wrong"] else "0"
+        wrong = outcome_cell(statistics)
         rate = percent_text(statistics).partition(" (")[0]
         return [*values, rate, *errors, wrong, coloured(statistics["verdict"]) if "verdict" in statistics else "–"]
 

@@ -240,8 +240,12 @@ class TruthMessage(_OfFrame):
     """Attitude of the solution against the truth: rotation vector in camera axes, ″."""
     bound_arcsec: Three | None
     """Cramér–Rao bound of this frame's identified stars about the camera's axes, ″."""
+    misidentified: bool
+    """Whether a star of the solution is not the one that it names."""
+    inconsistent: bool
+    """Whether the error is beyond 5 σ of the stated covariance."""
     wrong: bool
-    """Whether the solution is wrong: misidentified stars, or an error that noise does not explain."""
+    """Whether the solution is wrong: misidentified, or inconsistent and beyond the specification as well."""
     position_km: Three
     """Spacecraft from the Earth's centre, GCRS, km."""
     sun: Three | None

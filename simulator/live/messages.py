@@ -146,6 +146,8 @@ def truth_message(live: LiveFrame) -> TruthMessage:
         rate_deg_s=_tuple(np.degrees(live.moment.rate_rad_s(exposure_s))),
         error_arcsec=_tuple(3600.0 * np.array(error_deg)) if np.isfinite(error_deg).all() else None,
         bound_arcsec=_bound_arcsec(live),
+        misidentified=bool(row["misidentified"]),
+        inconsistent=bool(row["inconsistent"]),
         wrong=bool(row["wrong"]),
         position_km=_tuple(instant.r_km),
         sun=_direction(directions, "Sun"),

@@ -70,8 +70,8 @@ class TrackerSection(Section):
     """``moment``, ``weighted_moment``, ``least_squares`` or ``maximum_likelihood``."""
     identifier: str = "adaptive"
     """``adaptive``, ``match_groups``, ``pyramid``, ``pattern_hash``, ``triads`` or ``triads_integer``."""
-    estimator: str = "svd"
-    """``svd``, ``davenport``, ``quest``, ``esoq2``, ``triad``, ``star_pair`` or ``plate_constants``."""
+    estimator: str = "field_fit"
+    """``field_fit``, ``svd``, ``davenport``, ``quest``, ``esoq2``, ``triad``, ``star_pair`` or ``plate_constants``."""
     prior: bool = True
     """Give the tracker the attitude of the other sensors, with an error of up to `pointing.error_deg`; false: lost in
     space."""

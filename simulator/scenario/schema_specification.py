@@ -56,7 +56,11 @@ class SpecificationSection(Section):
     availability: Share | None = None
     """Smallest fraction of the frames with an attitude that is not wrong."""
     wrong_rate: Share | None = None
-    """Largest fraction of the frames with a wrong attitude; null: none may be wrong."""
+    """Largest fraction of the frames with a wrong attitude: one with a misidentified star, or one whose error is beyond
+    5 sigma of the stated covariance and beyond a limit of this section. Null: none may be wrong."""
+    inconsistent_rate: Share | None = None
+    """Largest fraction of the frames with an inconsistent attitude, whose error is beyond 5 sigma of the stated
+    covariance, within the limits of this section or not. Null: consistency is not required."""
     acquisition_s: Positive | None = None
     """Longest time, lost in space, from the start of the first exposure to the end of the one that gives the first
     correct attitude; without computing time."""

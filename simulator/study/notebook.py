@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.specification.outcome import outcome_counts_text
 from simulator.study.statistics import BODY_AXES
 from startracker.arrays import FloatArray
 from startracker.display import html_card
@@ -25,8 +26,10 @@ _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 420.0, 250.0, 42.0, 38.0, 22.0
 
 def study_card(summary: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> str:
     """HTML with the number of solved and wrong trials, each axis beside its specification, and the chart of errors."""
-    trials, wrong = summary["trials"], summary["wrong"]
-    rows = {"trials": f"{trials}, seed {summary['seed']}", "solved": f"{summary['solved']}, {wrong} wrong"}
+    rows = {
+        "trials": f"{summary['trials']}, seed {summary['seed']}",
+        "solved": f"{summary['solved']}, {outcome_counts_text(summary)}",
+    }
     for judged in summary["specification"].values():
         title, _, said = judged["text"].partition(": ")
         rows[title] = said

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
+from simulator.study.specification.outcome import identified, outcome_counts
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, axis_statistics, median
 
@@ -23,6 +24,9 @@ TRIAL_COLUMNS = (
 )
 """Columns of the trials used by `point_statistics`."""
 
+OUTCOME_COLUMNS = ("misidentified", "inconsistent", "inconsistent_cause", "stars_misidentified", "nees")
+"""More of them, of which files of earlier versions have only the last two."""
+
 TIMINGS = ("median_render_ms", "median_solve_ms")
 """Timings, the only statistics that differ between runs of the same point."""
 
@@ -34,12 +38,13 @@ def point_statistics(
 
     For each axis `mean_deg`, `rms_deg`, `three_sigma_deg` (three times the rms), `p997_deg` (99.7th percentile of the
     magnitude), and the 95 % bootstrap interval of the rms as `rms_low_deg` and `rms_high_deg`. Errors are those of the
-    solved trials. The identification rate is the fraction of trials solved and not wrong, with Wilson's 95 % interval.
+    solved trials. The identification rate is the fraction of trials solved with the right stars, with Wilson's 95 %
+    interval.
 
     Parameters
     ----------
     columns : mapping of arrays
-        Those of `TRIAL_COLUMNS`.
+        Those of `TRIAL_COLUMNS`, and of `OUTCOME_COLUMNS` as far as there are.
     seed : int
         Seed of the bootstrap.
     judgement : Judgement, optional
@@ -52,13 +57,12 @@ def point_statistics(
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)
-    wrong = np.asarray(columns["wrong"], dtype=bool)
-    right = int(np.sum(solved & ~wrong))
+    right = int(identified(columns).sum())
     low, high = wilson_interval(right, n)
     found: dict[str, Any] = {
         "trials": n,
         "solved": int(solved.sum()),
-        "wrong": int(wrong.sum()),
+        **outcome_counts(columns),
         "identification_rate": right / n if n else None,
         "identification_rate_low": low,
         "identification_rate_high": high,

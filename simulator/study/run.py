@@ -21,6 +21,7 @@ from simulator.study.result_files import json_text, now_utc, write_files
 from simulator.study.result_options import check_run_options
 from simulator.study.results_folder import results_folder, standing
 from simulator.study.specification.measured import judge_frames
+from simulator.study.specification.outcome import outcome_counts_text
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import BODY_AXES, median, summarise
 from simulator.study.trials.columns import Columns
@@ -84,7 +85,7 @@ class Study(Rows):
 
     def __repr__(self) -> str:
         summary = self.summary
-        counts = f"{summary['trials']} trials, {summary['solved']} solved, {summary['wrong']} wrong"
+        counts = f"{summary['trials']} trials, {summary['solved']} solved, {outcome_counts_text(summary)}"
         rms_deg = {axis: summary["errors_deg"][axis]["rms"] for axis in BODY_AXES}
         known = [f"{axis} {angle_text(math.radians(rms))}" for axis, rms in rms_deg.items() if rms is not None]
         accuracy = f"rms {', '.join(known)}" if known else ""

@@ -19,6 +19,7 @@ from simulator.study.intervals import (
     spread_interval,
     wilson_interval,
 )
+from simulator.study.specification.outcome import identified, inconsistency, outcome_counts, outcome_flags
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import Judgement
 from startracker.arrays import FloatArray
@@ -26,13 +27,6 @@ from startracker.arrays import FloatArray
 BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
 AXES = BODY_AXES + CAMERA_AXES
-
-WRONG_NEES = 31.812
-"""Normalised error squared beyond which an attitude contradicts its stated covariance: χ² of 3 degrees of freedom
-exceeds it with probability 5.7e-7, as a normal deviate exceeds 5 σ."""
-
-WRONG_BOUNDS = 5.0
-"""An error about an axis that is larger than this many Cramér–Rao bounds is not explained by noise."""
 
 BEYOND_FACTOR = 10.0
 """An error that exceeds the specification this many times is counted as beyond the specification."""
@@ -83,30 +77,6 @@ def median(values: ArrayLike) -> float | None:
     return float(np.median(finite)) if len(finite) else None
 
 
-def is_wrong(misidentified: int, nees: float, error_deg: ArrayLike, bound_deg: ArrayLike) -> bool:
-    """Whether an accepted attitude is wrong.
-
-    It is wrong if a star is misidentified, or if the error contradicts the stated covariance (`WRONG_NEES`) and is not
-    explained by noise or by known systematic errors (`WRONG_BOUNDS`). The second condition alone would call a noisy
-    attitude with a correct covariance wrong, the first one alone an accurate attitude whose covariance is a little too
-    small.
-
-    Parameters
-    ----------
-    misidentified : int
-        Number of misidentified stars.
-    nees : float
-        Error squared, normalised by the stated covariance; NaN without one.
-    error_deg, bound_deg : array_like, shape (3,)
-        Error about the camera's axes, and the Cramér–Rao bound of the noise together with what displaced star images
-        explain (`simulator.study.trials.trial`). For an axis without a bound (NaN) no error is explained.
-    """
-    if misidentified > 0:
-        return True
-    explained = np.abs(np.asarray(error_deg)) <= WRONG_BOUNDS * np.asarray(bound_deg)  # False for a bound of NaN
-    return bool(nees > WRONG_NEES and not explained.all())
-
-
 def beyond_specification(error_deg: Mapping[str, float], specification: Specification) -> bool:
     """Whether an error exceeds `BEYOND_FACTOR` times its specification; errors in degrees by axis."""
     return bool(specification.worst_share(error_deg) > BEYOND_FACTOR)
@@ -150,7 +120,7 @@ class Binned:
     centre: FloatArray
     """Mean of the column over the trials of the bin; the centre of an empty bin."""
     count: NDArray[np.int64]
-    """Trials that are solved, and not wrong."""
+    """Trials that are solved with the right stars (`simulator.study.specification.outcome.identified`)."""
     trials: NDArray[np.int64]
     """All trials, including unsolved ones for which the column has a value."""
     rms_deg: FloatArray
@@ -184,7 +154,7 @@ def error_against(
     """
     value = np.asarray(columns[name], dtype=float)
     error = np.asarray(columns[f"error_{axis}_deg"], dtype=float)
-    right = _right(columns) & np.isfinite(error)
+    right = identified(columns) & np.isfinite(error)
     finite = np.isfinite(value)
     if isinstance(bins, int):
         known = value[finite & right] if (finite & right).any() else value[finite]
@@ -217,13 +187,19 @@ def against_bound(columns: Columns, seed: int = 0) -> dict[str, Any] | None:
     """Measured errors and Cramér–Rao bound by camera axis: ``trials``, both rms in degrees (``rms_deg``,
     ``bound_rms_deg``), their ``ratio`` and its ``interval95``.
 
-    Over the trials that are solved, not wrong, and have a bound; None if there are none or the columns are missing.
+    Over the trials that are solved with the right stars and have a bound; None if there are none or the columns are
+    missing.
     """
     if not all(f"bound_{axis}_deg" in columns for axis in CAMERA_AXES):
         return None
     errors = np.stack([np.asarray(columns[f"error_{axis}_deg"], dtype=float) for axis in CAMERA_AXES], axis=1)
     bounds = np.stack([np.asarray(columns[f"bound_{axis}_deg"], dtype=float) for axis in CAMERA_AXES], axis=1)
-    use = _right(columns) & np.isfinite(errors).all(axis=1) & np.isfinite(bounds).all(axis=1) & (bounds > 0).all(axis=1)
+    use = (
+        identified(columns)
+        & np.isfinite(errors).all(axis=1)
+        & np.isfinite(bounds).all(axis=1)
+        & (bounds > 0).all(axis=1)
+    )
     if not use.any():
         return None
     errors, bounds = errors[use], bounds[use]
@@ -265,18 +241,20 @@ def consistency(columns: Columns) -> dict[str, Any] | None:
 
 
 def outliers(columns: Columns) -> list[dict[str, Any]]:
-    """Trials that are wrong, have a misidentified star, or have an error about a camera axis beyond `OUTLIER_SIGMAS`
-    robust standard deviations (1.48 times the median absolute deviation).
+    """Trials that are wrong or inconsistent (`simulator.study.specification.outcome`), have a misidentified star, or
+    have an error about a camera axis beyond `OUTLIER_SIGMAS` robust standard deviations (1.48 times the median absolute
+    deviation).
 
     Each has its ``index``, ``why``, the error about every axis in degrees, ``stars_matched`` and ``nees`` if available;
     ``boresight render --index`` renders it again. In order of their indices.
     """
-    solved = np.asarray(columns["status"] == "solved", dtype=bool)
-    wrong = np.asarray(columns["wrong"], dtype=bool)
+    _, inconsistent, wrong = outcome_flags(columns)
     why: dict[int, list[str]] = {int(i): ["wrong attitude"] for i in np.flatnonzero(wrong)}
+    for row in np.flatnonzero(inconsistent):
+        why.setdefault(int(row), []).append("inconsistent with the stated covariance")
     for row in np.flatnonzero(np.asarray(columns["stars_misidentified"]) > 0):
         why.setdefault(int(row), []).append(f"misidentified stars: {int(columns['stars_misidentified'][row])}")
-    good = np.flatnonzero(solved & ~wrong)
+    good = np.flatnonzero(identified(columns))
     for axis in CAMERA_AXES if len(good) else ():
         error = np.asarray(columns[f"error_{axis}_deg"], dtype=float)
         middle = float(np.median(error[good]))
@@ -295,12 +273,6 @@ def outliers(columns: Columns) -> list[dict[str, Any]]:
     return listed
 
 
-def _right(columns: Columns) -> NDArray[np.bool_]:
-    """Trials that are solved, and not wrong."""
-    solved = np.asarray(columns["status"] == "solved", dtype=bool)
-    return np.asarray(solved & ~np.asarray(columns["wrong"], dtype=bool))
-
-
 def summarise(columns: Columns, judgement: Judgement, seed: int = 0) -> dict[str, Any]:
     """Numbers of ``summary.json`` from the columns of the trials.
 
@@ -315,8 +287,7 @@ def summarise(columns: Columns, judgement: Judgement, seed: int = 0) -> dict[str
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)
-    wrong = np.asarray(columns["wrong"], dtype=bool)
-    right = int(np.sum(solved & ~wrong))
+    wrong, right = outcome_flags(columns)[2], int(identified(columns).sum())
     of_axis = {axis: np.asarray(columns[f"error_{axis}_deg"], dtype=float)[solved] for axis in AXES}
     errors = {axis: axis_statistics(values) for axis, values in of_axis.items()}
     reasons: dict[str, int] = {}
@@ -329,7 +300,8 @@ def summarise(columns: Columns, judgement: Judgement, seed: int = 0) -> dict[str
         "solved": int(solved.sum()),
         "unsolved": int(n - solved.sum()),
         "unsolved_by_status": dict(sorted(reasons.items())),
-        "wrong": int(wrong.sum()),
+        **outcome_counts(columns),
+        "inconsistency": inconsistency(columns),
         "beyond_specification": int(np.sum(columns["beyond_specification"]))
         if "beyond_specification" in columns
         else 0,

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeAlias
-
-from startracker.arrays import FloatArray
+from startracker.estimation.field_fit import Estimator, FieldFit, field_fit
 from startracker.estimation.plate import Plate, plate_constants, solve_plate
 from startracker.estimation.result import Estimate
 from startracker.estimation.star_pair import pitch_error_deg, star_pair
@@ -14,12 +11,13 @@ from startracker.estimation.wahba import davenport, esoq2, quest, wahba_svd
 
 __all__ = [
     "METHODS",
-    "OPTIMAL",
     "Estimate",
     "Estimator",
+    "FieldFit",
     "Plate",
     "davenport",
     "esoq2",
+    "field_fit",
     "pitch_error_deg",
     "plate_constants",
     "quest",
@@ -29,10 +27,8 @@ __all__ = [
     "wahba_svd",
 ]
 
-Estimator: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], Estimate]
-"""Signature of an estimator: observed (M, 3), reference (M, 3), sigma_rad (M,)."""
-
 METHODS: dict[str, Estimator] = {
+    "field_fit": field_fit,
     "svd": wahba_svd,
     "davenport": davenport,
     "quest": quest,
@@ -43,13 +39,12 @@ METHODS: dict[str, Estimator] = {
 }
 """Estimators by name; packages add theirs in the entry-point group ``boresight.estimators``.
 
-``svd``, ``davenport``, ``quest`` and ``esoq2`` are optimal and agree; ``triad`` and ``star_pair`` use two stars;
-``plate_constants`` leaves the scale free.
+``field_fit`` is the weighted fit in pixels with which the tracker matches the stars of a field, its default. The others
+are given the matched stars as directions, corrected for the deviations of the camera that this fit found, with the
+estimated error of each: ``svd``, ``davenport``, ``quest`` and ``esoq2`` solve Wahba's problem and differ by rounding
+alone; ``triad`` and ``star_pair`` use two stars; ``plate_constants`` leaves the scale free. An estimator with a fourth
+parameter, ``field``, is given the fit itself (`FieldFit`).
 """
-
-OPTIMAL: frozenset[Estimator] = frozenset({wahba_svd, davenport, quest, esoq2})
-"""Estimators that minimise the weighted squares: they give the same attitude as the fit of
-`startracker.estimation.pose`."""
 
 
 def __dir__() -> list[str]:

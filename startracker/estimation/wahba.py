@@ -1,4 +1,4 @@
-"""Wahba's problem, the best rotation for weighted directions: five methods with the same result.
+"""Wahba's problem, the best rotation for weighted directions: four methods with the same result.
 
 All minimise Σ σᵢ⁻² |bᵢ − A rᵢ|², which is optimal for isotropic errors of the directions, from B = Σ wᵢ bᵢ rᵢᵀ with
 Σ w = 1. They differ in speed and in numerical precision: for stars within θ of each other the two largest eigenvalues
@@ -42,8 +42,10 @@ def wahba_svd(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
     Returns
     -------
     Estimate
-        With the covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ of the rotation vector, rad². Nearly parallel directions have a
-        large variance about their axis (1/θ² of their separation).
+        With the covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹ of the rotation vector, rad² (Shuster & Oh 1981; that of all
+        methods that minimise this cost, Markley & Mortari 2000). It equals Markley's U diag(1/(s₂ + s₃), 1/(s₃ + s₁),
+        1/(s₁ + s₂)) Uᵀ of B with the weights σᵢ⁻² except for the squares of the residuals. Nearly parallel directions
+        have a large variance about their axis (1/θ² of their separation).
 
     Raises
     ------

@@ -8,6 +8,9 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
+from startracker.estimation import Estimator
+from startracker.estimation.pose import UNKNOWN_FLOOR_PX
+from startracker.estimation.wahba import attitude_covariance
 from startracker.identification.free_scale import FreeFit
 from startracker.identification.verification import nearest_unique
 from startracker.lens import PARAMETERS, only
@@ -74,3 +77,24 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
             break
         pairs = matched
     return best
+
+
+def estimated(
+    fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guide: GuideDatabase, estimator: Estimator
+) -> FreeFit:
+    """The fit with the attitude of an estimator for its stars, seen through the fitted lens.
+
+    The covariance is the estimator's, with what the unknown lens adds to that of the fit. Other parameters and errors
+    are those of `last_fit`; an error of the estimator (`InputError`) is not caught.
+    """
+    seen, reference = xy[fit.pairs[:, 0]], guide.directions[fit.pairs[:, 1]]
+    if variance_px2 is None:
+        sigma_px = np.full(len(seen), max(fit.rms_px, UNKNOWN_FLOOR_PX))
+    else:
+        own = variance_px2[fit.pairs[:, 0]]
+        sigma_px = np.sqrt(own + noise_floor(seen - fit.camera.project(reference @ fit.matrix.T), own) ** 2)
+    directions, sigma = fit.camera.unproject(seen), sigma_px * fit.camera.pixel_rad
+    estimate = estimator(directions, reference, sigma)
+    value, axis = np.linalg.eigh(fit.covariance - attitude_covariance(directions, sigma))
+    of_lens = (axis * np.maximum(value, 0.0)) @ axis.T
+    return replace(fit, matrix=estimate.matrix, covariance=estimate.covariance + of_lens)

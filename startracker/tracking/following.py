@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray, IntArray
+from startracker.errors import InputError
+from startracker.estimation import Estimator
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import to_pixels
 from startracker.identification.acceptance import log_chance, power_of_ten
@@ -88,7 +90,14 @@ class Followed:
         )
 
 
-def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, false_rejection: float) -> Followed | None:
+def follow(
+    prediction: Mekf,
+    camera: Camera,
+    seen: Seen,
+    expected: Expected,
+    false_rejection: float,
+    estimator: Estimator | None = None,
+) -> Followed | None:
     """Match with the prediction and update the filter; None if too few stars match, or the matched ones contradict it.
 
     Parameters
@@ -101,6 +110,10 @@ def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, fal
         Detected stars, and guide stars at their predicted positions.
     false_rejection : float
         Probability of rejecting a correct measurement (`TrackingSettings`).
+    estimator : Estimator, optional
+        Method that gives the measured attitude of the matched stars; None: the filter is updated with the stars
+        themselves, which is the weighted fit of all of them with the prediction. A single star, from which no method
+        has an attitude, always updates the filter itself. Stars from which the method has no attitude do not match.
     """
     if not len(seen.xy):
         return None
@@ -122,6 +135,16 @@ def follow(prediction: Mekf, camera: Camera, seen: Seen, expected: Expected, fal
         if good is None or good.all():
             break
         stars = stars[good]
+    if estimator is not None and len(stars) > 1:
+        try:
+            estimate = estimator(seen.vectors[stars], reference, sigma_px * pixel)
+        except InputError:
+            return None
+        after = prediction.copy()
+        innovation = after.update_attitude(estimate.matrix, estimate.covariance, false_rejection)
+        if not innovation.accepted:
+            return None
+        residual = seen.xy[stars] - to_pixels(reference @ after.matrix.T, camera.image_map)
     return made(
         Followed,
         filter=after,

@@ -78,7 +78,7 @@ class TrackingSession:
         self.settings = settings_or_default("settings", settings, TrackingSettings)
         self.exposure_s = real_number("exposure_s", exposure_s, unit="s", least=0.0)
         self.state = TrackingState()
-        self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
+        self._watched = self._new_filter()
         self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
         self._frame: NDArray[Any] | bytes | None = None
         self._used_s: float | None = None
@@ -97,6 +97,9 @@ class TrackingSession:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._lock = threading.RLock()
+
+    def _new_filter(self) -> WatchedFilter:
+        return WatchedFilter(self.noise, self.settings.false_rejection, self.tracker.direction_estimator)
 
     # ------------------------------------------------------------------ what the filter knows
     @property
@@ -143,7 +146,7 @@ class TrackingSession:
         if rate_rad_s is not None:
             rate_rad_s = real_array("rate_rad_s", rate_rad_s, (3,), unit="rad/s")
         with self._lock:
-            self._watched = WatchedFilter(self.noise, self.settings.false_rejection)
+            self._watched = self._new_filter()
             self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
             self.state, self._used_s = TrackingState(), None
             if attitude is not None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from startracker.arguments import real_array
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
+from startracker.estimation import Estimator
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import accepts
@@ -34,10 +35,14 @@ class WatchedFilter:
         Motion of the camera.
     false_rejection : float
         Probability that the gate of a single innovation rejects a correct frame.
+    estimator : Estimator, optional
+        Method that gives the attitude of the stars of a followed frame (`following.follow`).
     """
 
-    def __init__(self, noise: RateNoise | GyroNoise, false_rejection: float) -> None:
-        self.noise, self.false_rejection = noise, false_rejection
+    def __init__(
+        self, noise: RateNoise | GyroNoise, false_rejection: float, estimator: Estimator | None = None
+    ) -> None:
+        self.noise, self.false_rejection, self.estimator = noise, false_rejection, estimator
         self.mekf: Mekf | None = None
         """The filter; None before the first attitude, and if the prediction has become useless."""
         self.distrusted = False
@@ -128,12 +133,12 @@ class WatchedFilter:
         """
         if self.mekf is None:
             return None
-        followed = follow(self.mekf, camera, seen, expected, self.false_rejection)
+        followed = follow(self.mekf, camera, seen, expected, self.false_rejection, self.estimator)
         accepted = followed is not None and accepts(followed.log_chance, settings)
         if followed is None or not accepted or not self._window.contradicts(followed.innovation):
             return followed
         self._lose_confidence(self.mekf)
-        return follow(self.mekf, camera, seen, expected, self.false_rejection)
+        return follow(self.mekf, camera, seen, expected, self.false_rejection, self.estimator)
 
     def take_followed(self, followed: Followed) -> None:
         """Continue with the filter of a followed frame."""

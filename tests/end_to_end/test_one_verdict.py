@@ -97,3 +97,52 @@ def test_all_commands_give_the_same_verdict(tmp_path, monkeypatch, capsys, limit
     }
     assert summary["verdict"]["text"] in (tmp_path / "datasheet/datasheet.html").read_text()
     assert " ".join(summary["verdict"]["text"].split()) in printed()
+
+
+@pytest.mark.usefixtures("no_drawing")
+def test_a_lens_error_within_the_specification_is_reported_and_fails_no_command(tmp_path, monkeypatch, capsys):
+    """1 µm of decentring on each axis before 8 mm turns the attitude by 36″ of the 72″ specified, five and more of its
+    standard deviations: inconsistent, with the lens as its cause, and neither wrong nor a contradiction."""
+    monkeypatch.chdir(tmp_path)
+    lens = "optics: {focal_length_mm: 8, aperture_mm: 5.6, thermal: {decentring_um_k: [1.0, 1.0], temperature_c: 21}}"
+    text = CAMERA.replace("LIMIT", "0.02").replace("optics: {focal_length_mm: 8, aperture_mm: 5.6}", lens)
+    assert "decentring" in text
+    (tmp_path / "judged.yaml").write_text(text.replace("frames: 60", "frames: 20"))
+
+    def printed():
+        return " ".join(capsys.readouterr().out.split())
+
+    assert _run(["run", "judged.yaml", "--trials", "20", "--out", "run"]) == 0
+    shown, summary = printed(), json.loads((tmp_path / "run/summary.json").read_text())
+    assert (summary["misidentified"], summary["wrong"], summary["identification_rate"]) == (0, 0, 1.0)
+    assert summary["inconsistent"] >= 15
+    assert summary["inconsistency"]["likely_cause"] == "displaced"
+    assert summary["verdict"]["verdict"] == "met"
+    assert f"none wrong, {summary['inconsistent']} inconsistent" in shown
+    assert summary["inconsistency"]["text"] in shown
+    assert summary["inconsistency"]["text"] in (tmp_path / "run/report.html").read_text()
+
+    assert _run(["run", "judged.yaml", "--sequence", "--single", "--out", "sequence"]) == 0
+    sequence = json.loads((tmp_path / "sequence/sequence.json").read_text())
+    for found in (sequence, sequence["single"]):
+        assert (found["misidentified"], found["wrong"]) == (0, 0)
+        assert found["inconsistent"] > 0
+    assert sequence["inconsistency"]["likely_cause"] == "displaced"
+    assert sequence["inconsistency"]["text"] in printed()
+    assert sequence["inconsistency"]["text"] in (tmp_path / "sequence/sequence.html").read_text()
+
+    over = ["--over", "optics.aperture_mm", "--from", "5.6", "--to", "5.7", "--steps", "2", "--boresights", "200"]
+    loose = ["--stars", "3", "--availability", "0.5", "--path", "--verify", "20", "--out", "design"]
+    assert _run(["study", "design", "judged.yaml", *over, *loose]) == 0
+    verification = json.loads((tmp_path / "design/design.json").read_text())["verification"]
+    assert verification["contradictions"] == []
+    assert verification["inconsistent"] == summary["inconsistent"]
+
+    sweep = ["sweep", "judged.yaml", "--over", "specification.inconsistent_rate=0.05,0.99", "--trials", "20"]
+    assert _run([*sweep, "--out", "sweep"]) == 0
+    points = json.loads((tmp_path / "sweep/sweep.json").read_text())["points"]
+    # where consistency is specified it is judged
+    assert [point["statistics"]["inconsistent_rate_verdict"] for point in points] == ["not met", "undecided"]
+    assert points[0]["verdict"]["verdict"] == "not met"
+    assert {point["statistics"]["inconsistent"] for point in points} == {summary["inconsistent"]}
+    assert f"({summary['inconsistent']} inconsistent)" in printed()

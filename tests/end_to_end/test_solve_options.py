@@ -119,3 +119,21 @@ def test_mistakes_are_one_clear_line(sky, solve, arguments, word):
     assert (code, out) == (2, "")
     assert word in err
     assert err.count("\n") == 1
+
+
+def test_every_estimator_runs_under_its_name(sky, solve, tmp_path):
+    CAMERA.to_yaml(tmp_path / "camera.yaml")
+    angles = {}
+    for name in (None, "field_fit", "svd", "star_pair"):
+        chosen = [] if name is None else ["--estimator", name]
+        code, out, _ = solve(sky, "--camera", tmp_path / "camera.yaml", "--json", *chosen)
+        assert code == 0
+        angles[name] = np.array(json.loads(out)["quaternion"])
+    assert np.array_equal(angles[None], angles["field_fit"])
+    assert not np.array_equal(angles["svd"], angles["field_fit"])
+    # two of the stars: their centroids have errors of hundredths of a pixel, of 1.5′
+    assert 1e-7 < np.abs(angles["star_pair"] - angles["field_fit"]).max() < 1e-3
+    code, _, err = solve(sky, "--camera", tmp_path / "camera.yaml", "--estimator", "svg")
+    assert (code, err.strip().endswith("did you mean 'svd'?")) == (2, True)
+    code, _, err = solve(sky, "--estimator", "svd")
+    assert (code, "--estimator needs --camera or --fov" in err) == (2, True)

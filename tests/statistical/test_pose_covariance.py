@@ -15,7 +15,7 @@ from simulator.study.intervals import mean_chi_square_bounds
 from simulator.study.trials.trial import TrialRunner, solve_frame
 from startracker import Attitude, Camera, StarTracker
 from startracker.constants import ARCSEC_RAD
-from startracker.estimation import wahba_svd
+from startracker.estimation import field_fit
 from startracker.observer import Observer
 from startracker.refine import Measured, refine
 
@@ -98,7 +98,7 @@ def lists(tracker, stars, trials, seed, sigma_px, seen_by=None, known=False, tol
         pairs = np.stack([np.arange(stars), index[chosen]], axis=1)
         variance = sigma**2 if known else None
         guide, measured = tracker.guide.seen_by(told), Measured(seen, variance_px2=variance)
-        found = refine(pairs, measured, tracker.camera, guide, wahba_svd, observer=told)
+        found = refine(pairs, measured, tracker.camera, guide, field_fit, observer=told)
         error = attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))
         nees.append(error @ np.linalg.solve(found.covariance, error))
     return np.array(nees)
@@ -150,7 +150,7 @@ def test_an_unknown_observer_costs_few_stars_a_twentieth(tracker):
         pairs = np.stack([np.arange(len(chosen)), index[chosen]], axis=1)
         seen = Measured(xy[chosen] + rng.normal(0.0, 0.1, (len(chosen), 2)))
         for k, told in enumerate((None, Observer(tracker.guide.epoch_jyear, np.zeros(3)))):
-            found = refine(pairs, seen, tracker.camera, tracker.guide.seen_by(told), wahba_svd, observer=told)
+            found = refine(pairs, seen, tracker.camera, tracker.guide.seen_by(told), field_fit, observer=told)
             square[k] += np.sum(attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))[:2] ** 2)
     assert 1.0 <= np.sqrt(square[0] / square[1]) < 1.08  # paired: 1.06, and 1.12 with a free focal length
 
@@ -219,7 +219,7 @@ def test_stars_that_agree_by_chance_do_not_leave_out_the_others(tracker):
         seen[:, 0] += rng.choice([-0.1, 0.1], 16)
         pairs = np.stack([np.arange(16), index[chosen]], axis=1)
         measured = Measured(seen, variance_px2=np.full(16, 0.015**2))
-        found = refine(pairs, measured, tracker.camera, guide, wahba_svd, observer=observer)
+        found = refine(pairs, measured, tracker.camera, guide, field_fit, observer=observer)
         assert np.mean(found.used) > 0.8
         error = attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))
         nees.append(error @ np.linalg.solve(found.covariance, error))

@@ -194,3 +194,27 @@ def test_equal_largest_eigenvalues_still_give_a_rotation():
         assert np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
         assert np.isfinite(matrix).all()
     assert quest(observed, reference, 1e-3).covariance.shape == (3, 3)
+
+
+def test_the_covariance_is_that_of_each_paper():
+    """By the singular values of B, the eigenvalues of K and the sum over the stars: equal where residuals are zero."""
+    rng = np.random.default_rng(21)
+    for _ in range(20):
+        sigma = rng.uniform(0.001, 0.003, 9)
+        observed, reference = noisy_case(rng, unit(rng.normal(size=(9, 3))), 0.0)
+        profile = (sigma[:, None] ** -2 * observed).T @ reference
+        u, s, vt = np.linalg.svd(profile)
+        s[2] *= np.linalg.det(u) * np.linalg.det(vt)
+        # Markley 1988: variances 1/(sum of the other two singular values) about the columns of U
+        markley = u @ np.diag([1 / (s[1] + s[2]), 1 / (s[2] + s[0]), 1 / (s[0] + s[1])]) @ u.T
+        # Davenport: variances 2/(λ₁ − λₖ)
+        z = np.array([profile[1, 2] - profile[2, 1], profile[2, 0] - profile[0, 2], profile[0, 1] - profile[1, 0]])
+        trace = np.trace(profile)
+        value = np.linalg.eigvalsh(np.block([[profile + profile.T - trace * np.eye(3), z[:, None]], [z, trace]]))
+        # Shuster & Oh 1981
+        information = sum((np.eye(3) - np.outer(b, b)) / e**2 for b, e in zip(observed, sigma, strict=True))
+        for method in (*OPTIMAL, "field_fit"):
+            covariance = METHODS[method](observed, reference, sigma).covariance
+            assert np.allclose(covariance, np.linalg.inv(information), rtol=1e-9, atol=0)
+            assert np.allclose(covariance, markley, rtol=1e-7, atol=1e-9 * markley.max())
+            assert np.allclose(np.linalg.eigvalsh(covariance), 2 / (value[3] - value[:3]), rtol=1e-9, atol=0)

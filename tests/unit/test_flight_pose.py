@@ -16,7 +16,7 @@ from startracker import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
-from startracker.estimation.wahba import quest
+from startracker.estimation import field_fit
 from startracker.fixed_point.c_table import CTable
 from startracker.flight.apparent import FlightObserver
 from startracker.flight.directions import grid_arrays, grid_constants
@@ -102,7 +102,7 @@ def refined_pose(guide, given):
     """StarTracker's fit of the same stars."""
     pairs = np.column_stack([np.flatnonzero(given.guide >= 0), given.guide[given.guide >= 0]])
     stars = Measured(given.stars.xy_px, None, given.stars.variance_px2)
-    return refine(pairs, stars, CAMERA, guide.seen_by(given.observer), quest, observer=given.observer)
+    return refine(pairs, stars, CAMERA, guide.seen_by(given.observer), field_fit, observer=given.observer)
 
 
 KINDS = ("stated", "larger", "systematic", "focal", "outliers", "few")

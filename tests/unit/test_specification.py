@@ -283,3 +283,14 @@ def test_prediction_at_another_rate_is_undecided():
     assert "set pointing.rate_deg_s" in judged.text
     judged = judge(specification, replace(evidence, rate_deg_s=1.02))
     assert judged.text.startswith("Specification: met (predicted): smallest margin roll")
+
+
+@pytest.mark.parametrize(
+    ("rate", "tested"), [(0.053, False), (0.055, True), (0.066, True), (0.067, False), (0.5, False)]
+)
+def test_a_prediction_at_another_rate_leaves_the_specified_one_untested(rate, tested):
+    """Specified 0.06°/s: predictions from 0.054 to 0.066°/s hold for it, slower and faster ones do not."""
+    specification = Specification((Requirement("roll", 1.0, 99.7, "roll"),), rate_deg_s=0.06)
+    judged = judge(specification, Predicted(np.eye(3)[None] * 1e-12, np.eye(3), 1, specification, rate))
+    assert (judged.untested == ()) == tested
+    assert judged.state == (MET if tested else UNDECIDED)

@@ -166,6 +166,15 @@ def test_outliers_are_listed_with_their_trial():
     json.dumps(summary, allow_nan=False)
 
 
+def test_an_outlier_is_counted_from_the_bias_of_the_camera():
+    """All errors lie about a bias of 20 σ: the one 8 σ from the others is the outlier, and not those near zero or far
+    from it on the same side."""
+    errors = 2e-3 + np.random.default_rng(4).normal(0, 1e-4, 300)
+    errors[7] = 2e-3 - 8e-4
+    found = outliers(trials(300, error_cross_y_deg=errors))
+    assert [entry["index"] for entry in found] == [107]
+
+
 def test_errors_sorted_into_bins():
     n = 400
     stars = np.repeat([4.0, 6.0, 9.0, np.nan], n // 4)

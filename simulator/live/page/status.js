@@ -56,7 +56,11 @@ export class Status {
     if (blinded) return ["bad", `Blinded${solution?.mode === "coasting" ? ", coasting" : ""}${held}`];
     if (!solution) return ["wait", state?.source === "external" ? "Waiting for an attitude from outside" : `Waiting for the first frame${held}`];
     if (!solved) return ["bad", `Lost: ${words(solution.status)}${solution.mode === "coasting" ? ", coasting" : ""}${held}`];
-    if (truth?.wrong && truth.index === solution.index) return ["bad", `Solved, but wrong by the truth${held}`];
+    if (truth?.index === solution.index) {
+      if (truth.misidentified) return ["bad", `Solved, but a star is misidentified${held}`];
+      if (truth.wrong) return ["bad", `Solved, but inconsistent and beyond the specification${held}`];
+      if (truth.inconsistent) return ["warn", `Solved, but inconsistent with its covariance${held}`];
+    }
     if (solution.mode === "lost_in_space") return ["warn", `Solved from the whole sky (lost in space)${held}`];
     return ["good", `${solution.mode === "tracking" ? "Tracking" : `Solved, ${words(solution.mode)}`}${held}`];
   }

@@ -17,6 +17,7 @@ from simulator.scenario import Scenario
 from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect
 from simulator.study.budget.outliers import ALL_ON, Outlier, find_outliers, lines_of
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
+from simulator.study.specification.outcome import identified
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.arrow import as_array
 from simulator.study.trials.engine import Progress, run_trials
@@ -222,8 +223,8 @@ def _joined(members: list[tuple[Effect, Changes]]) -> Changes:
 
 
 class _Run(NamedTuple):
-    """Errors (n, 3) about the camera's axes, degrees, which trials are solved and not wrong, and solved, and the
-    Cramér–Rao bounds (n, 3), degrees."""
+    """Errors (n, 3) about the camera's axes, degrees, which trials are solved with the right stars
+    (`simulator.study.specification.outcome.identified`), and solved, and the Cramér–Rao bounds (n, 3), degrees."""
 
     errors: FloatArray
     right: NDArray[np.bool_]
@@ -237,7 +238,9 @@ def _errors(table: Any) -> _Run:
     names = [f"bound_{axis}_deg" for axis in CAMERA_AXES]
     known = all(name in table.column_names for name in names)
     bound = np.stack([as_array(table[name]) for name in names], axis=1) if known else np.full_like(errors, math.nan)
-    return _Run(errors, solved & ~np.array(table["wrong"].to_pylist(), dtype=bool), solved, bound)
+    words = ("status", "wrong", "misidentified", "inconsistent", "inconsistent_cause")
+    said = {word: np.array(table[word].to_pylist()) for word in words if word in table.column_names}
+    return _Run(errors, identified(said), solved, bound)
 
 
 def _contribution(name: str, kind: str, base: _Run, without: _Run, seed: int) -> Contribution:

@@ -23,6 +23,7 @@ from simulator.scene import Scene
 from simulator.study.datasheet.scan import PASSES, SAME_PIXELS, ScanGeometry, scan_attitudes
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.specification.measured import JUDGED_COLUMNS
+from simulator.study.specification.outcome import identified
 from simulator.study.statistics import AXES, CAMERA_AXES
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources, star_information
 from simulator.study.trials.trial import (
@@ -49,7 +50,8 @@ _MOST_FRAMES = 1000
 """Frames of a pass, for the indices."""
 
 GROSS_PX = 10.0
-"""Error across the boresight, pixels, beyond which an attitude is wrong even without a misidentified star."""
+"""Error across the boresight, pixels, beyond which an attitude is not one of the field's stars and does not count in
+errors: where the catalogues of sky and tracker differ, misidentified stars are not known."""
 
 SAME_STAR_RAD = math.radians(1.0 / 60.0)
 """Maximum distance between the positions of a star in the catalogues of the sky and of the tracker."""
@@ -80,13 +82,13 @@ class DatasheetFrames:
         self._other_pixels: Renderer | None = None
 
     def trials(self, first: int, count: int) -> Columns:
-        """Ordinary trials: one value each; ``right`` for a solved and correct attitude."""
+        """Ordinary trials: one value each; ``right`` for an attitude with the right stars."""
         rows = [self.runner.run(index) for index in range(first, first + count)]
         columns = {name: np.array([row[name] for row in rows], dtype=float) for name in _TRIAL_COLUMNS}
         solved = np.array([row["status"] == "solved" for row in rows])
-        wrong = np.array([row["wrong"] for row in rows], dtype=bool)
-        status = np.array([row["status"] for row in rows])
-        return columns | {"status": status, "solved": solved, "wrong": wrong, "right": solved & ~wrong}
+        names = ("misidentified", "inconsistent", "wrong", "inconsistent_cause", "status")
+        columns |= {name: np.array([row[name] for row in rows]) for name in names}
+        return columns | {"solved": solved, "right": identified(columns)}
 
     def scan(self, field: int, geometry: ScanGeometry) -> Columns:
         """The passes over one field.

@@ -88,13 +88,21 @@ def acquisition(scenario: Scenario, runner: TaskRunner, amounts: Amounts) -> lis
     ):
         found = runner.trials(scenario.changed(whole_sky | {"tracker.prior": prior}), count)
         right = proportion(found["right"])
-        wrong = proportion(found["wrong"])
         method = f"{count} random attitudes over the whole sky, one frame each; {int(np.sum(found['right']))} correct"
         words: dict[str, Any] = {"interpretation": "ensemble", "method": method}
         frames = Estimate(*(frames_to_acquire(share) for share in (right.value, right.high, right.low)))
         quantities += [
             Quantity(f"acquisition_probability_{name}", f"Acquisition probability, {title}", right, **words),
-            Quantity(f"acquisition_wrong_{name}", f"Wrong attitudes, {title}", wrong, **words),
+            *(
+                Quantity(
+                    f"acquisition_{outcome}_{name}", f"{word} attitudes, {title}", proportion(found[outcome]), **words
+                )
+                for outcome, word in (
+                    ("misidentified", "Misidentified"),
+                    ("inconsistent", "Inconsistent"),
+                    ("wrong", "Wrong"),
+                )
+            ),
             Quantity(
                 f"acquisition_time_{name}",
                 f"Acquisition time at {100 * ACQUIRED:g} %, {title}",

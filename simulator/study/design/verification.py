@@ -45,8 +45,11 @@ class Verification:
     """Value of the parameter."""
     trials: int
     solved: int
+    misidentified: int
+    inconsistent: int
     wrong: int
-    """Frames, solved frames, and frames with a wrong attitude."""
+    """Frames, solved frames, and of these the misidentified, the inconsistent and the wrong attitudes
+    (`simulator.study.specification.outcome`)."""
     judgement: Judgement
     """Verdicts on the specification."""
     ratio: dict[str, float | None]
@@ -165,6 +168,8 @@ def verify(
         value=point.value,
         trials=summary["trials"],
         solved=summary["solved"],
+        misidentified=summary.get("misidentified", 0),
+        inconsistent=summary.get("inconsistent", 0),
         wrong=summary["wrong"],
         judgement=judged,
         ratio=ratios,
@@ -181,7 +186,7 @@ def _contradictions(judged: Judgement, summary: Mapping[str, Any], result: Desig
         if each.verdict == NOT_MET:
             yield each.text
     if judged.refused_wrong:
-        yield f"{judged.wrong} of {summary['solved']} accepted attitudes are wrong"
+        yield f"{judged.wrong} of {summary['solved']} accepted attitudes are wrong{judged.kinds}"
     low, high = summary["availability_interval95"]
     if high < result.least_availability:
         yield (

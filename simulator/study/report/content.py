@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from simulator.study.html_page import Table, provenance, verdict_table
 from simulator.study.intervals import wilson_interval
+from simulator.study.specification.outcome import identified, outcome_flags
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
 from simulator.study.texts import percent_text
@@ -114,7 +115,13 @@ def _answer(
 ) -> Answer:
     n, solved, wrong = summary["trials"], summary["solved"], summary["wrong"]
     rates = []
-    for name, count in (("available (solved)", solved), ("correctly identified", solved - wrong), ("wrong", wrong)):
+    for name, count in (
+        ("available (solved)", solved),
+        ("correctly identified", int(identified(columns).sum())),
+        ("misidentified", summary.get("misidentified", 0)),
+        ("inconsistent", summary.get("inconsistent", 0)),
+        ("wrong", wrong),
+    ):
         between = interval_text(wilson_interval(count, n), percent_text)
         rates.append((name, f"{count} of {n}", percent_text(count / n) if n else "–", between))
     return Answer(
@@ -169,6 +176,8 @@ def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
             f"The stated covariance {finding}: mean normalised error squared (NEES) {nees['mean']:.3f}, "
             f"expected {low:.3f} to {high:.3f} for {nees['freedom']} axes."
         )
+    if inconsistent := summary.get("inconsistency"):
+        said.append(f"{inconsistent['text']}.")
     if largest := _largest(budget):
         said.append(f"Largest contributions to the mean square error across the boresight: {largest}.")
     solved = np.asarray(columns["status"] == "solved")
@@ -194,9 +203,9 @@ def _accuracy(summary: Mapping[str, Any]) -> Table:
         rows.append((*cells, *(angle_text(e[key]) for key in ("p50", "p95", "p997", "max"))))
     note = (
         "The error is the rotation vector from the true to the estimated attitude, over all solved trials, wrong ones "
-        "included. An attitude is wrong if a star is misidentified, "
-        "or if its error exceeds 5σ of the stated covariance and five Cramér–Rao bounds, so that it is not "
-        "explained by noise; " + _beyond(summary)
+        "included. An attitude is misidentified if a star is not the one that it names, inconsistent if its error "
+        "exceeds 5σ of the stated covariance, and wrong if it is misidentified, or inconsistent and beyond the "
+        "specification as well; " + _beyond(summary)
     )
     if any(interval_of(summary, axis, "rms") for axis in AXES):
         note += " 95 % bootstrap intervals in brackets."
@@ -212,11 +221,14 @@ def _beyond(summary: Mapping[str, Any]) -> str:
 
 
 def outlier_positions(columns: Columns, summary: Mapping[str, Any]) -> list[tuple[int, str]]:
-    """Positions of notable trials, with the reason: wrong, not solved, then outlying errors."""
+    """Positions of notable trials, with the reason: wrong, not solved, inconsistent, then outlying errors."""
     index = np.asarray(columns["index"])
-    wrong = np.flatnonzero(np.asarray(columns["wrong"], dtype=bool))
+    misidentified, inconsistent, wrong = outcome_flags(columns)
     failed = np.flatnonzero(np.asarray(columns["status"]) != "solved")
-    found = {int(i): "wrong" for i in wrong} | {int(i): str(columns["status"][i]) for i in failed}
+    found = {int(i): "wrong: misidentified" if misidentified[i] else "wrong" for i in np.flatnonzero(wrong).tolist()}
+    found |= {int(i): str(columns["status"][i]) for i in failed}
+    for row in np.flatnonzero(inconsistent & ~wrong).tolist():
+        found.setdefault(row, "inconsistent")
     for entry in summary.get("outliers", ()):
         i = int(np.searchsorted(index, entry["index"]))  # rows are in order of index
         if i < len(index) and index[i] == entry["index"]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
+from simulator.study.specification.outcome import outcome_flags
 from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES, Binned, error_against
 from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel
@@ -255,16 +256,16 @@ def draw_time_line(columns: Columns, specification: Specification, ax: Axes) -> 
     )
     share = specification.worst_share({axis: columns[f"error_{axis}_deg"] for axis in AXES})
     solved = (np.asarray(columns["status"]) == "solved") & np.isfinite(share)
-    wrong = np.asarray(columns["wrong"], dtype=bool)
-    good = solved & ~wrong
+    _, inconsistent, wrong = outcome_flags(columns)
+    good = solved & ~wrong & ~inconsistent
     many = bool(good.sum() > MANY_POINTS)
     ax.plot(t_s[good] / unit, np.maximum(share[good], 1e-7), ".", color=BLUE, markersize=2.5 if many else 4,
             alpha=0.4 if many else 0.7, markeredgewidth=0, rasterized=many,
             label=f"solved ({int(good.sum())})")  # fmt: skip
-    if wrong.any():
-        ax.plot(
-            t_s[wrong] / unit, share[wrong], "*", color=VERMILION, markersize=8, label=f"wrong ({int(wrong.sum())})"
-        )
+    for mask, marker, name in ((inconsistent & ~wrong, "d", "inconsistent"), (wrong, "*", "wrong")):
+        if mask.any():
+            size, label = (8 if name == "wrong" else 5), f"{name} ({int(mask.sum())})"
+            ax.plot(t_s[mask] / unit, share[mask], marker, color=VERMILION, markersize=size, label=label)
     ax.set_yscale("log")
     if good.any() and share[good].max() > 0.05:
         ax.axhline(1.0, color=VERMILION, linewidth=1.4, label="specification")
@@ -300,10 +301,11 @@ def draw_sky(columns: Columns, bright: StarCatalog, ax: Axes) -> None:
         for n, (px, py) in enumerate(zip(np.split(x, cuts), np.split(y, cuts), strict=True)):
             ax.plot(px, py, line, color=colour, linewidth=1.2, label=None if n else label)
     solved = np.asarray(columns["status"]) == "solved"
-    wrong = np.asarray(columns["wrong"], dtype=bool)
+    _, inconsistent, wrong = outcome_flags(columns)
     for mask, colour, marker, size, label in (
         (solved, BLUE, ".", 3, "solved"),
         (~solved, VERMILION, "x", 6, "not solved"),
+        (inconsistent & ~wrong, VERMILION, "d", 5, "inconsistent"),
         (wrong, INK, "*", 8, "wrong"),
     ):
         if mask.any():

@@ -19,16 +19,16 @@ from simulator.scenario import Scenario
 from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.columns import (
     NO_FRAME,
-    camera_error_deg,
     compared_columns,
     is_beyond,
-    is_wrong_attitude,
     opening_columns,
+    row_errors_deg,
     three_columns,
 )
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
+from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from simulator.study.trials.trial import (
     attitude_errors_deg,
     build_tracker,
@@ -173,8 +173,8 @@ class SequenceCamera:
         times = (rendered - started) * 1e3, (tracked - rendered) * 1e3
         row = self._row(moment, truth.attitude_at_tag, solution, *times)
         row |= self._counts(frame, truth, solution)
-        misnamed, error_deg = row["stars_misidentified"], camera_error_deg(row)
-        row["wrong"] = is_wrong_attitude(self.renderer, truth, solution, misnamed, row["nees"], error_deg)
+        misnamed, errors = row["stars_misidentified"], row_errors_deg(row)
+        row |= outcome_columns(self.renderer, truth, solution, misnamed, row["nees"], errors, self.specification)
         if self.single:
             row |= self._alone(self.tracker.solve(image, **known), truth)
         row |= operated.columns(frame, solution, session) if operated else {}
@@ -281,8 +281,8 @@ class SequenceCamera:
         row: dict[str, Any] = {
             "single_status": str(solution.status) if solution else NO_FRAME,
             "single_matched": solution.matched if solution else 0,
-            "single_wrong": False,
         }
+        outcome = NO_OUTCOME_COLUMNS
         errors = dict.fromkeys((*BODY_AXES, *CAMERA_AXES), math.nan)
         if solution is not None and truth is not None and solution.attitude is not None:
             true = truth.attitude_at_tag
@@ -290,7 +290,8 @@ class SequenceCamera:
             error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
             nees = normalised_error_squared(error_deg, solution.covariance)
             wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
-            row["single_wrong"] = is_wrong_attitude(self.renderer, truth, solution, wrong_stars, nees, error_deg)
+            outcome = outcome_columns(self.renderer, truth, solution, wrong_stars, nees, errors, self.specification)
+        row |= {f"single_{name}": value for name, value in outcome.items()}
         row |= {f"single_error_{axis}_deg": errors[axis] for axis in (*BODY_AXES, *CAMERA_AXES)}
         row["single_ms"] = sum(solution.times_ms.values()) if solution else math.nan
         return row

@@ -8,15 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from simulator.frame import FrameTruth
-from simulator.renderer import Renderer
 from simulator.study.specification.requirements import Specification
-from simulator.study.statistics import AXES, CAMERA_AXES, WRONG_NEES, beyond_specification, is_wrong
-from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
-from simulator.study.trials.trial import attitude_columns, attitude_errors_deg, explained_deg, mounting_columns
+from simulator.study.statistics import AXES, beyond_specification
+from simulator.study.trials.causes import NO_OUTCOME_COLUMNS
+from simulator.study.trials.trial import attitude_columns, attitude_errors_deg, mounting_columns
 from startracker.arrays import FloatArray
 from startracker.geometry.attitude import Attitude
-from startracker.solution import Solution
 
 NO_FRAME = "no_frame"
 """Status of a missing frame."""
@@ -57,7 +54,7 @@ def error_columns(
 def opening_columns(index: int, elapsed_s: float, t_s: float, utc: str) -> dict[str, Any]:
     """First columns of a row, without an attitude."""
     when = {"index": index, "elapsed_s": elapsed_s, "t_s": t_s, "utc": utc}
-    return when | {"mode": "none", "status": "", "reason": "", "wrong": False, "beyond_specification": False}
+    return when | {"mode": "none", "status": "", "reason": "", **NO_OUTCOME_COLUMNS, "beyond_specification": False}
 
 
 def compared_columns(
@@ -74,26 +71,12 @@ def compared_columns(
 
 def is_beyond(row: Mapping[str, Any], specification: Specification) -> bool:
     """`beyond_specification` of the errors of a row."""
-    return beyond_specification({axis: row[f"error_{axis}_deg"] for axis in AXES}, specification)
+    return beyond_specification(row_errors_deg(row), specification)
 
 
-def camera_error_deg(row: dict[str, Any]) -> FloatArray:
-    """Error about the camera's axes (3,), degrees, of a row."""
-    return np.array([row[f"error_{axis}_deg"] for axis in CAMERA_AXES])
-
-
-def is_wrong_attitude(
-    renderer: Renderer, truth: FrameTruth, solution: Solution, misidentified: int, nees: float, error_deg: FloatArray
-) -> bool:
-    """Whether the attitude of a solved frame is wrong (`simulator.study.statistics.is_wrong`), with the noise of this
-    frame alone. The bound is computed only for the few attitudes for which it matters."""
-    if not solution.solved:
-        return False
-    bound_deg = np.full(3, math.nan)
-    if nees > WRONG_NEES:
-        stars = matched_sources(truth, solution.stars.fitted.xy)
-        bound_deg = explained_deg(renderer, truth, stars, attitude_bound_deg(renderer, truth, stars))
-    return is_wrong(misidentified, nees, error_deg, bound_deg)
+def row_errors_deg(row: Mapping[str, Any]) -> dict[str, float]:
+    """Errors by axis, degrees, of a row."""
+    return {axis: row[f"error_{axis}_deg"] for axis in AXES}
 
 
 def three_columns(

@@ -15,8 +15,9 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.heads import head_values
 from simulator.scenario.schema import HeadSection
-from simulator.study.sequence.columns import NO_FRAME, camera_error_deg, error_columns, is_wrong_attitude
+from simulator.study.sequence.columns import NO_FRAME, error_columns, row_errors_deg
 from simulator.study.specification.requirements import specification_of
+from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from simulator.study.trials.trial import build_tracker, in_field, misidentified
 from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD
@@ -152,9 +153,10 @@ class HeadCamera:
             truth.mounting,
             truth.mounting_rotation_rad,
         )
-        error_deg = camera_error_deg(columns)
-        columns["wrong"] = is_wrong_attitude(self.renderer, truth, solution, wrong_stars, columns["nees"], error_deg)
-        return columns
+        errors = row_errors_deg(columns)
+        return columns | outcome_columns(
+            self.renderer, truth, solution, wrong_stars, columns["nees"], errors, self.specification
+        )
 
     def missing(self) -> dict[str, Any]:
         """Columns of a missing frame."""
@@ -162,4 +164,4 @@ class HeadCamera:
         counts = dict.fromkeys(("stars_detected", "stars_matched", "stars_misidentified"), 0)
         said = {"status": NO_FRAME, "reason": "no frame", **fields, "excluded": ""}
         identity = Attitude(np.array([0.0, 0.0, 0.0, 1.0]))
-        return said | counts | error_columns(identity, None, None, self.mounting) | {"wrong": False}
+        return said | counts | error_columns(identity, None, None, self.mounting) | NO_OUTCOME_COLUMNS

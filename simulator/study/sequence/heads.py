@@ -16,11 +16,11 @@ from simulator.mission.gyro import DEG_H, DEG_SQRT_H, GyroSamples, gyro_samples
 from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.study.sequence.camera import LEAST_PRIOR_DEG, TrackedFrame
-from simulator.study.sequence.columns import compared_columns, is_beyond, opening_columns, three_columns
+from simulator.study.sequence.columns import compared_columns, is_beyond, opening_columns, row_errors_deg, three_columns
 from simulator.study.sequence.head_camera import BodyState, HeadCamera, scenario_of_head
 from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
+from simulator.study.specification.outcome import UNKNOWN, outcome_of
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import WRONG_NEES
 from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import AlignedMekf, FusionFilter
@@ -165,7 +165,10 @@ class HeadsRunner:
         )
         for name in ("render_ms", "track_ms"):
             row[name] = sum(one.columns[name] for one in taken)
-        row["wrong"] = row["status"] == str(Status.SOLVED) and bool(row["nees"] > WRONG_NEES)
+        if row["status"] == str(Status.SOLVED):  # of the filter, which names no stars: those of the heads are theirs
+            row |= outcome_of(0, row["nees"], row_errors_deg(row), self.specification)._asdict()
+            causes = [one.columns["inconsistent_cause"] for one in taken if one.columns["inconsistent_cause"]]
+            row["inconsistent_cause"] = (causes or [UNKNOWN])[0] if row["inconsistent"] else ""
         row["beyond_specification"] = row["status"] == str(Status.SOLVED) and row["beyond_specification"]
         for name, one in zip(names, taken, strict=True):
             row |= {f"head_{name}_{key}": value for key, value in one.columns.items()}

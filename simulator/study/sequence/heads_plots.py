@@ -108,6 +108,8 @@ def heads_table(heads: dict[str, Any]) -> Table:
             (
                 name,
                 f"{100.0 * head['availability']:.1f} %",
+                str(head["misidentified"]),
+                str(head["inconsistent"]),
                 str(head["wrong"]),
                 *(deg_text(head["errors_deg"][axis]["rms"]) for axis in BODY_AXES),
                 str(did["started"] + did["used"]),
@@ -118,6 +120,8 @@ def heads_table(heads: dict[str, Any]) -> Table:
     headings = (
         "head",
         "solved",
+        "misidentified",
+        "inconsistent",
         "wrong",
         *(f"rms {axis}" for axis in BODY_AXES),
         "used",

@@ -12,6 +12,7 @@ from simulator.study.html_page import TONES, Table, drawn, provenance, render_pa
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.heads_plots import heads_panels, heads_table
 from simulator.study.sequence.plots import MODE_TITLES, panels
+from simulator.study.specification.outcome import outcome_text
 from simulator.study.statistics import AXES
 from simulator.study.texts import deg_text
 
@@ -47,6 +48,7 @@ def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
         scenario=scenario,
         summary=summary,
         provenance=provenance(summary, scenario.fingerprint()),
+        outcome=outcome_text(summary),
         tone=TONES[judged.state],
         verdict=judged.text,
         requirements=verdict_table(judged),

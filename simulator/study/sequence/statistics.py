@@ -11,6 +11,7 @@ from scipy.special import chdtri
 from simulator.scenario import Scenario
 from simulator.study.intervals import effective_number
 from simulator.study.sequence.frames import MODES
+from simulator.study.specification.outcome import inconsistency, outcome_counts
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, CAMERA_AXES, axis_statistics
 from startracker.arrays import Columns, FloatArray
@@ -39,7 +40,8 @@ def summarise_sequence(columns: Columns, step_s: float, judgement: Judgement) ->
         "time_in_mode_s": {mode: float(np.sum(columns["mode"] == mode)) * step_s for mode in MODES},
         "first_solution_s": None if first is None else first * step_s,
         "longest_outage_s": longest_run(~solved) * step_s,
-        "wrong": int(np.sum(columns["wrong"])),
+        **outcome_counts(columns),
+        "inconsistency": inconsistency(columns),
         "beyond_specification": int(np.sum(columns["beyond_specification"]))
         if "beyond_specification" in columns
         else 0,
@@ -73,7 +75,7 @@ def summarise_sequence(columns: Columns, step_s: float, judgement: Judgement) ->
         summary["single"] = {
             "solved": int(alone.sum()),
             "availability": float(alone.mean()),
-            "wrong": int(np.sum(columns["single_wrong"])),
+            **outcome_counts(columns, "single_"),
             "errors_deg": {axis: axis_statistics(single[axis][alone]) for axis in AXES},
             "gain": gain,
         }
@@ -156,7 +158,7 @@ def _summary(columns: Columns, prefix: str, step_s: float) -> dict[str, Any]:
         "availability": float(solved.mean()),
         "unsolved_by_status": {str(s): int(c) for s, c in zip(statuses, counts, strict=True)},
         "longest_outage_s": longest_run(~solved) * step_s,
-        "wrong": int(np.sum(columns[f"{prefix}wrong"])),
+        **outcome_counts(columns, prefix),
         "stars_misidentified": int(np.sum(columns[f"{prefix}stars_misidentified"])),
         "stars_matched_mean": float(np.mean(columns[f"{prefix}stars_matched"][solved])) if solved.any() else None,
         "filter": {outcome: int(np.sum(update == outcome)) for outcome in OUTCOMES},

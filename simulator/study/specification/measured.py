@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from simulator.scenario import Scenario
 from simulator.study.body_angles import body_angles_deg
 from simulator.study.intervals import effective_number, percentile_interval, wilson_interval
+from simulator.study.specification.outcome import outcome_flags
 from simulator.study.specification.requirements import (
     AVAILABILITY,
+    INCONSISTENT_RATE,
     WRONG_RATE,
     Requirement,
     Specification,
@@ -122,12 +124,23 @@ class Measured:
 
     @cached_property
     def _wrong(self) -> BoolArray:
-        return np.asarray(np.asarray(self.columns["wrong"], dtype=bool) & self._solved)
+        return np.asarray(outcome_flags(self.columns)[2] & self._solved)
 
     @property
     def wrong(self) -> int:
         """Wrong attitudes among the frames that count."""
         return int(self._wrong.sum())
+
+    @property
+    def misidentified(self) -> int:
+        """Those of them with a misidentified star."""
+        return int((outcome_flags(self.columns)[0] & self._wrong).sum())
+
+    @property
+    def gross(self) -> int:
+        """Those of them that are inconsistent and beyond the specification, with the right stars."""
+        misidentified, inconsistent, _ = outcome_flags(self.columns)
+        return int((inconsistent & ~misidentified & self._wrong).sum())
 
     @property
     def untested(self) -> tuple[str, ...]:
@@ -171,6 +184,8 @@ class Measured:
         if requirement.name in (AVAILABILITY, WRONG_RATE):
             right = int(self._solved.sum()) - self.wrong
             return self._share(right if requirement.name == AVAILABILITY else self.wrong, frames)
+        if requirement.name == INCONSISTENT_RATE:
+            return self._share(int((outcome_flags(self.columns)[1] & self._solved).sum()), frames)
         return self._acquisition(requirement)
 
     def _percentile(self, values: FloatArray, requirement: Requirement, independent: float | None = None) -> Estimate:

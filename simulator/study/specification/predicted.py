@@ -43,7 +43,7 @@ class Predicted:
 
     basis = "predicted"
     unit = "attitudes"
-    wrong = 0
+    wrong = misidentified = gross = 0
 
     @property
     def untested(self) -> tuple[str, ...]:

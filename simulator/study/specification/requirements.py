@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from simulator.scenario import Scenario
 
-AVAILABILITY, WRONG_RATE, ACQUISITION = "availability", "wrong_rate", "acquisition"
+AVAILABILITY, WRONG_RATE, INCONSISTENT_RATE, ACQUISITION = (
+    "availability", "wrong_rate", "inconsistent_rate", "acquisition"
+)  # fmt: skip
 """Names of the requirements that are not on errors."""
 
 
@@ -22,7 +24,8 @@ class Requirement:
     """One required value."""
 
     name: str
-    """Unique: an axis, an axis and a percentile (``across_p95``), `AVAILABILITY`, `WRONG_RATE` or `ACQUISITION`."""
+    """Unique: an axis, an axis and a percentile (``across_p95``), `AVAILABILITY`, `WRONG_RATE`, `INCONSISTENT_RATE` or
+    `ACQUISITION`."""
     limit: float
     """Degrees for an error, seconds for the acquisition, otherwise a fraction: the minimum of the availability, the
     maximum of everything else."""
@@ -100,6 +103,8 @@ def specification_of(scenario: Scenario) -> Specification:
         requirements.append(Requirement(AVAILABILITY, section.availability))
     if section.wrong_rate is not None:
         requirements.append(Requirement(WRONG_RATE, section.wrong_rate))
+    if section.inconsistent_rate is not None:
+        requirements.append(Requirement(INCONSISTENT_RATE, section.inconsistent_rate))
     if section.acquisition_s is not None:
         requirements.append(Requirement(ACQUISITION, section.acquisition_s, section.percentile))
     excluded = ((body, getattr(section, f"{body}_exclusion_deg")) for body in ("sun", "moon", "earth"))

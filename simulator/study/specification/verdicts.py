@@ -58,6 +58,14 @@ class Evidence(Protocol):
         """Frames with a wrong attitude."""
 
     @property
+    def misidentified(self) -> int:
+        """Those of them with a misidentified star."""
+
+    @property
+    def gross(self) -> int:
+        """Those of them that are inconsistent and beyond the specification, with the right stars."""
+
+    @property
     def untested(self) -> tuple[str, ...]:
         """Conditions of the specification that no frame has, as sentences."""
 
@@ -165,6 +173,9 @@ class Judgement:
     """Wrong attitudes; any is a reason for `NOT_MET` unless a rate of them is specified."""
     untested: tuple[str, ...] = ()
     """Conditions that were not tested; the specification is then at best `UNDECIDED`."""
+    misidentified: int = 0
+    gross: int = 0
+    """Wrong attitudes with a misidentified star, and those that are inconsistent and beyond a limit."""
 
     @property
     def state(self) -> str:
@@ -178,6 +189,13 @@ class Judgement:
     def refused_wrong(self) -> bool:
         """Whether there are wrong attitudes, and no rate of them is specified."""
         return self.wrong > 0 and not any(each.requirement.name == WRONG_RATE for each in self.verdicts)
+
+    @property
+    def kinds(self) -> str:
+        """What the wrong attitudes are, for display; empty if it is not known."""
+        parts = [f"{self.misidentified} misidentified"] if self.misidentified else []
+        parts += [f"{self.gross} inconsistent and beyond the specification"] if self.gross else []
+        return f" ({', '.join(parts)})" if parts else ""
 
     @property
     def advice(self) -> str:
@@ -200,7 +218,7 @@ class Judgement:
             known = [(each.margin, each.requirement.title) for each in decisive if each.margin]
             reasons = ["smallest margin {1}, {0:.3g} ×".format(*min(known))] if known else []
         if self.refused_wrong:
-            reasons.append(f"{self.wrong} wrong attitude{'s' if self.wrong > 1 else ''}")
+            reasons.append(f"{self.wrong} wrong attitude{'s' if self.wrong > 1 else ''}{self.kinds}")
         if self.state == UNDECIDED:
             reasons += [*self.untested, self.advice]
         said = "; ".join(filter(None, reasons))
@@ -218,6 +236,7 @@ class Judgement:
             "verdict": self.state,
             "basis": self.basis,
             "wrong": self.wrong,
+            "misidentified": self.misidentified,
             "untested": list(self.untested),
             "text": self.text,
         }
@@ -235,7 +254,8 @@ def judge(specification: Specification, evidence: Evidence) -> Judgement:
         (`simulator.study.specification.predicted`).
     """
     verdicts = tuple(Verdict(each, evidence.estimate(each)) for each in specification.requirements)
-    return Judgement(verdicts, evidence.basis, evidence.unit, evidence.wrong, evidence.untested)
+    wrong, misidentified, gross = evidence.wrong, evidence.misidentified, evidence.gross
+    return Judgement(verdicts, evidence.basis, evidence.unit, wrong, evidence.untested, misidentified, gross)
 
 
 def frames_needed(requirement: Requirement) -> int:

@@ -21,7 +21,7 @@ from simulator.scenario.document import parse_document, read_text
 from simulator.scenario.errors import Problem
 from simulator.scenario.output import cell
 from simulator.study.intervals import plain, ratios_of_rms
-from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
+from simulator.study.point_statistics import OUTCOME_COLUMNS, TRIAL_COLUMNS, point_statistics
 from simulator.study.statistics import AXES
 from simulator.study.trials.arrow import as_array, read_columns
 from simulator.study.trials.columns import Columns
@@ -171,7 +171,7 @@ def _ratios(first: ComparedRun, other: ComparedRun) -> dict[str, tuple[float, fl
 
 def _trials(file: Path, *more: str) -> pa.Table:
     try:
-        return read_columns(file, [*more, *TRIAL_COLUMNS])
+        return read_columns(file, [*more, *TRIAL_COLUMNS], optional=OUTCOME_COLUMNS)
     except (OSError, pa.ArrowException) as error:
         raise InputError(f"{file}: cannot be read ({str(error).splitlines()[0]})") from error
 

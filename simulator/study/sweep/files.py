@@ -16,7 +16,7 @@ from simulator.paths import make_folder, open_atomically, write_atomically
 from simulator.scenario import Scenario
 from simulator.scenario.grid import SweptKey
 from simulator.scenario.output import cell
-from simulator.study.point_statistics import TRIAL_COLUMNS, point_statistics
+from simulator.study.point_statistics import OUTCOME_COLUMNS, TRIAL_COLUMNS, point_statistics
 from simulator.study.result_files import parquet_bytes
 from simulator.study.specification.measured import JUDGED_COLUMNS, judge_frames
 from simulator.study.trials.arrow import as_column, read_columns
@@ -86,7 +86,7 @@ def write_results(
         if refused is not None:
             point |= {"status": "refused", "reason": refused}
         elif index in files:
-            columns = Columns(read_columns(files[index], [*TRIAL_COLUMNS, *JUDGED_COLUMNS]))
+            columns = Columns(read_columns(files[index], [*TRIAL_COLUMNS, *OUTCOME_COLUMNS, *JUDGED_COLUMNS]))
             judged = judge_frames(scenarios[index], columns)
             point |= {"statistics": point_statistics(columns, table["seed"], judged), "verdict": judged.to_dict()}
         else:

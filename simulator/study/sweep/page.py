@@ -113,14 +113,14 @@ def _points(done: list[dict[str, Any]], keys: tuple[str, ...], swept: list[str])
             str(point["point"]),
             *_values(point, swept),
             f"{s['solved']} of {s['trials']}",
-            str(s["wrong"]),
+            *(str(s.get(name, "–")) for name in ("misidentified", "inconsistent", "wrong")),
             percent_text(s),
             *(interval_text(s, axis) for axis in BODY_AXES),
             s.get("verdict", "–"),
         ))  # fmt: skip
     names = (f"rms {axis} (95 %)" for axis in BODY_AXES)
     return Table(
-        ("point", *keys, "solved", "wrong", "identified (95 %)", *names, "verdict"),
+        ("point", *keys, "solved", "misidentified", "inconsistent", "wrong", "identified (95 %)", *names, "verdict"),
         tuple(rows),
         note="All statistics are in points.csv and sweep.json, all trials in sweep.parquet.",
     )
@@ -156,7 +156,18 @@ def comparison_page(comparison: Comparison) -> str:
             "of the same seed and sampling.",
         ),
         rates=Table(
-            ("run", "solved", "wrong", "identified (95 %)", "stars matched", "render [ms]", "solve [ms]", "trials/s"),
+            (
+                "run",
+                "solved",
+                "misidentified",
+                "inconsistent",
+                "wrong",
+                "identified (95 %)",
+                "stars matched",
+                "render [ms]",
+                "solve [ms]",
+                "trials/s",
+            ),
             _rows(runs, _rates),
         ),
     )
@@ -196,7 +207,8 @@ def _ratios(found: dict[str, tuple[float, float | None, float | None]] | None) -
 def _rates(run: ComparedRun) -> tuple[str, ...]:
     s = run.statistics
     times = (s["stars_matched_mean"], s["median_render_ms"], s["median_solve_ms"], run.trials_per_second)
-    return f"{s['solved']} of {s['trials']}", str(s["wrong"]), percent_text(s), *map(number_text, times)
+    outcomes = (str(s[name]) for name in ("misidentified", "inconsistent", "wrong"))
+    return f"{s['solved']} of {s['trials']}", *outcomes, percent_text(s), *map(number_text, times)
 
 
 def comparison_panels(comparison: Comparison) -> list[Panel]:

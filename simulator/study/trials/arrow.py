@@ -93,8 +93,11 @@ def _strings(chunk: pa.DictionaryArray) -> NDArray[Any]:
     return np.asarray(values[_plain(chunk.indices)])
 
 
-def read_columns(file: Path, columns: list[str] | None = None, read_dictionary: Sequence[str] = ()) -> pa.Table:
-    """Columns of a Parquet file; those of `read_dictionary` with each distinct value once.
+def read_columns(
+    file: Path, columns: list[str] | None = None, read_dictionary: Sequence[str] = (), optional: Sequence[str] = ()
+) -> pa.Table:
+    """Columns of a Parquet file, and those of `optional` that it has; those of `read_dictionary` with each distinct
+    value once.
 
     Raises
     ------
@@ -107,5 +110,7 @@ def read_columns(file: Path, columns: list[str] | None = None, read_dictionary: 
         missing = [name for name in columns or () if name not in opened.schema_arrow.names]
         if missing:
             raise InputError(f"{file}: the column '{missing[0]}' is missing; was it written by another version?")
+        if columns is not None:
+            columns = [*columns, *(name for name in optional if name in opened.schema_arrow.names)]
         table = opened.read(columns=columns)
     return table if columns is None else table.select(columns)

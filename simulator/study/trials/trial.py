@@ -15,9 +15,10 @@ from simulator.scenario import Scenario
 from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
 from simulator.sky.celestial_frames import GALACTIC
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification, is_wrong
-from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources, pixel_slopes
-from startracker.arrays import FloatArray, IntArray
+from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
+from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
+from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
+from startracker.arrays import FloatArray
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.geometry.attitude import Attitude
@@ -25,38 +26,6 @@ from startracker.geometry.camera import Camera
 from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
-
-
-def systematic_turn_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray) -> FloatArray:
-    """Error of the attitude about the camera's axes (3,), degrees, without any noise.
-
-    (Σ JᵀJ)⁻¹ Σ Jᵀd of displacements d from the positions of the calibrated camera, with equal weights, minus the rate
-    times the error of the time. Zero for a camera without systematic errors.
-
-    Parameters
-    ----------
-    renderer, truth
-        Renderer of the scenario, and a frame's truth.
-    stars : (N,) int array
-        Rows of the true sources that the tracker used.
-    """
-    plane, sources = renderer.focal_plane.at(truth.t_s), truth.sources
-    turn = -truth.rate_camera_rad_s * truth.time_tag_error_s
-    if (plane.true_camera is not plane.camera or not plane.displacement.is_off) and len(stars) > 1:
-        directions = truth.attitude.apply(sources.direction[stars])
-        slopes = pixel_slopes(plane.camera, directions)
-        displaced = sources.xy[stars] - plane.camera.project(directions)
-        normal = np.einsum("nji,njk->ik", slopes, slopes)
-        turn = turn + np.linalg.lstsq(normal, np.einsum("nji,nj->i", slopes, displaced), rcond=None)[0]
-    return np.asarray(np.degrees(turn))
-
-
-def explained_deg(renderer: Renderer, truth: FrameTruth, stars: IntArray, bound_deg: FloatArray) -> FloatArray:
-    """Standard deviations (3,), degrees, that noise and known systematic errors explain about the camera's axes; the
-    bound (3,) of the noise itself for a camera without systematic errors."""
-    turn_deg = systematic_turn_deg(renderer, truth, stars)
-    return np.hypot(bound_deg, turn_deg) if turn_deg.any() else bound_deg
-
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker with a column of their times; these, ``render_ms`` and ``solve_ms`` are the only columns that
@@ -204,7 +173,7 @@ class TrialRunner:
             "utc": frame.utc,
             "status": str(solution.status),
             "reason": solution.reason,
-            "wrong": False,
+            **NO_OUTCOME_COLUMNS,
             "beyond_specification": False,
         }
         row |= attitude_columns("true_", true) | {
@@ -234,8 +203,7 @@ class TrialRunner:
         error_deg = np.array([errors[axis] for axis in CAMERA_AXES])
         row["nees"] = normalised_error_squared(error_deg, solution.covariance)
         wrong_stars = misidentified(truth, solution) if self.same_catalog else 0
-        explained = explained_deg(self.renderer, truth, matched, bound_deg)
-        row["wrong"] = is_wrong(wrong_stars, row["nees"], error_deg, explained)
+        row |= outcome_columns(self.renderer, truth, solution, wrong_stars, row["nees"], errors, self.specification)
         row["limit_mag"] = float(solution.stars.v_mag.max()) if solution.matched else math.nan
         residuals = fitted.residual_px.ravel()
         row |= in_field(frame.camera, sources, scenario.tracker.magnitude_limit)
