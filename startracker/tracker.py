@@ -36,12 +36,13 @@ from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
 from startracker.records import changed, made
 from startracker.refine import Measured, Refined
-from startracker.refine_stars import refine_stars
+from startracker.refine_stars import refine_stars, selected
 from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps
+from startracker.unexplained import Fitted, reason_to_refuse
 from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
 
 STATED_PX = 0.15
@@ -297,21 +298,32 @@ class StarTracker:
             reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
         solution = self._solved(found, refined, stars, guide, observer, clock)
-        return changed(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
+        solution = changed(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
+        return self._checked(solution, refined, stars, guide, clock)
+
+    def _checked(
+        self, solution: Solution, refined: Refined, stars: Measured, guide: GuideDatabase, clock: Clock
+    ) -> Solution:
+        """The solution, or one without an attitude if there is a `reason_to_refuse` it."""
+        fit = Fitted(refined.pairs[refined.used], refined.residual_px[refined.used], refined.matrix, refined.camera)
+
+        def is_sky(rows: IntArray) -> bool:
+            observed, _, _ = self._observed(selected(stars, rows))
+            return self._identify(observed, guide, self.identification, None).status is Status.SOLVED
+
+        reason = reason_to_refuse(stars.xy, self._stated_px(stars), fit, guide, solution.bodies.centroid, is_sky)
+        if not reason:
+            return solution
+        refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {reason}", clock, stars.xy)
+        steps = (*solution.steps, *attitude_steps(solution))
+        return replace(refused, steps=steps, operations=solution.operations)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""
-        camera, error = self.camera, self.focal_error
+        camera, error, settings = self.camera, self.focal_error, self.identification
+        shape, variance = (camera.width, camera.height), stars.variance_px2
         search = FreeSearch(
-            stars.xy,
-            stars.flux,
-            camera.width,
-            camera.height,
-            self.catalog,
-            self.identification,
-            observer,
-            variance_px2=stars.variance_px2,
-            rough=camera,
+            stars.xy, stars.flux, *shape, self.catalog, settings, observer, variance_px2=variance, rough=camera
         )
         fov = camera.undistorted_fov_deg
         band = (fov * (1.0 - error), fov, fov * (1.0 + error))
@@ -320,12 +332,15 @@ class StarTracker:
         step = search_step(search.trials, (band,), (camera.parity,))
         return found, (step, Step("identification", found.reason))
 
+    def _stated_px(self, stars: Measured) -> FloatArray:
+        """Standard errors (N,) assumed for the identification."""
+        if stars.variance_px2 is None:
+            return filled(len(stars.xy), STATED_PX)
+        return np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
+
     def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
         """Directions for the identification, the centroids that have one, and those of all centroids."""
-        if stars.variance_px2 is None:
-            stated = filled(len(stars.xy), STATED_PX)
-        else:
-            stated = np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
+        stated = self._stated_px(stars)
         camera, most = self.camera, self.identification.max_centroids
         directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
         signal = None if stars.flux is None else stars.flux[usable[:most]]
