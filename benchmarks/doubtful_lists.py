@@ -53,7 +53,6 @@ KINDS = (
 """Faults of random fields; each that leaves a true attitude comes with a wrong focal length in every second list."""
 WITHOUT_TRUTH = ("torn", "mirrored", "two fields")
 GROUPS = ("clusters", "others")
-_FEWEST_EACH_HALF = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,9 +201,3 @@ def _stars(
         xy = np.concatenate([xy, rng.uniform(-0.5, SIZE_PX - 0.5, (false, 2))])
         v_mag = np.concatenate([v_mag, np.array(catalog.v_mag)[rng.integers(len(catalog.v_mag), size=false)]])
     return xy, v_mag
-
-
-def both_halves_filled(xy: FloatArray) -> bool:
-    """Whether each half of a torn list shows stars enough to contradict an attitude of the other half."""
-    left = int(np.count_nonzero(xy[:, 0] < 0.5 * SIZE_PX))
-    return min(left, len(xy) - left) >= _FEWEST_EACH_HALF

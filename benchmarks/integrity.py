@@ -26,7 +26,7 @@ from benchmarks.doubtful_lists import (
     FIELDS,
     GROUPS,
     DoubtfulList,
-    both_halves_filled,
+    SIZE_PX,
     camera_of,
     doubtful_list,
 )
@@ -35,6 +35,7 @@ from startracker import Observer, Solution, StarTracker, TrackingSession
 from startracker.geometry.attitude import Attitude
 
 WRONG_DEG, WRONG_SIGMAS = 0.1, 5.0
+FEWEST_IN_HALF = 8
 STEP = 10_000
 """Lists of a part."""
 MODES = (
@@ -92,11 +93,26 @@ def is_wrong(given: DoubtfulList, solution: Solution) -> tuple[bool, float, floa
     if solution.attitude is None or solution.covariance is None:
         return False, math.nan, math.nan
     if given.matrix is None:
-        return given.kind == "mirrored" or both_halves_filled(given.xy), math.nan, math.nan
+        return given.kind == "mirrored" or leaves_a_half(given, solution), math.nan, math.nan
     error = Attitude.from_matrix(given.matrix).rotation_vector_to(solution.attitude)
     sigmas = math.sqrt(float(error @ np.linalg.solve(solution.covariance, error)))
     error_deg = math.degrees(float(np.linalg.norm(error)))
     return error_deg > WRONG_DEG and sigmas > WRONG_SIGMAS, error_deg, sigmas
+
+
+def leaves_a_half(given: DoubtfulList, solution: Solution) -> bool:
+    """Whether an attitude leaves a half of the image unexplained: less than a third of its stars are matched, and less
+    than a third of the guide stars there, at least `FEWEST_IN_HALF` of each."""
+    assert solution.attitude is not None
+    guide, stars = _tracker(given.field, "adaptive", 0.0).guide, solution.stars.fitted
+    index, _, positions = guide.in_field(solution.attitude.as_matrix(), -6.0, solution.camera)
+    matched = np.isin(guide.catalog.id[index], stars.catalog_id)
+    for sign in (1.0, -1.0):
+        seen, there = (np.count_nonzero(sign * (x - 0.5 * SIZE_PX) > 0.0) for x in (given.xy[:, 0], positions[:, 0]))
+        good = np.count_nonzero(matched & (sign * (positions[:, 0] - 0.5 * SIZE_PX) > 0.0))
+        if min(seen, there) >= FEWEST_IN_HALF and 3 * good < min(seen, there):
+            return True
+    return False
 
 
 def run(group: str, first: int, lists: int, seed: int) -> dict[str, Any]:

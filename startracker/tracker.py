@@ -307,11 +307,11 @@ class StarTracker:
         """The solution, or one without an attitude if there is a `reason_to_refuse` it."""
         fit = Fitted(refined.pairs[refined.used], refined.residual_px[refined.used], refined.matrix, refined.camera)
 
-        def is_sky(rows: IntArray) -> bool:
+        def identify(rows: IntArray) -> IntArray:
             observed, _, _ = self._observed(selected(stars, rows))
-            return self._identify(observed, guide, self.identification, None).status is Status.SOLVED
+            return self._identify(observed, guide, self.identification, None).pairs[:, 1]
 
-        reason = reason_to_refuse(stars.xy, self._stated_px(stars), fit, guide, solution.bodies.centroid, is_sky)
+        reason = reason_to_refuse(stars.xy, self._stated_px(stars), fit, guide, solution.bodies.centroid, identify)
         if not reason:
             return solution
         refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {reason}", clock, stars.xy)
