@@ -199,7 +199,7 @@ class FreeSearch:
         )
         reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
         left = unexplained_in(xy, Fitted(fit.pairs, residual, fit.matrix, fit.camera), guide, NO_ROWS)
-        if left.contradicts:
+        if left.leaves_a_part:
             return Solution(Status.NO_MATCH, f"{reason}; but {left}", centroids=xy, log_false_alarm=chance)
         covariance = fit.covariance
         if not corrects_aberration(self.observer):

@@ -28,7 +28,7 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.given_centroids import stated_variance, usable_centroids
 from startracker.given_image import given_image, prior_of
-from startracker.identification.acceptance import is_beyond_doubt
+from startracker.identification.acceptance import accepts, is_beyond_doubt
 from startracker.identification.around_prior import identify_around
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
@@ -254,6 +254,8 @@ class StarTracker:
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
+        elif trailed and not stars.trailed and not solution.solved and accepts(solution.log_false_alarm, self.identification):
+            solution = replace(solution, reason=f"{solution.reason}; they may be fragments of trails")
         return changed(solution, operations=operations), stars, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
@@ -316,7 +318,8 @@ class StarTracker:
             return solution
         refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {reason}", clock, stars.xy)
         steps = (*solution.steps, *attitude_steps(solution))
-        return replace(refused, steps=steps, operations=solution.operations)
+        chance = solution.log_false_alarm
+        return replace(refused, steps=steps, operations=solution.operations, log_false_alarm=chance)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""

@@ -90,11 +90,13 @@ class Unexplained(NamedTuple):
     @property
     def contradicts(self) -> bool:
         """Whether the attitude is refused."""
-        return (
-            (self.contrast > LARGEST_CONTRAST and self._is_large)
-            or self._explained < LEAST_EXPLAINED
-            or self.beside > self.matched_stars
-        )
+        return self.leaves_a_part or self._explained < LEAST_EXPLAINED or self.beside > self.matched_stars
+
+    @property
+    def leaves_a_part(self) -> bool:
+        """Whether it is refused for one part of the image, however faint the stars of the list are against the guide
+        stars: a photograph's order of brightness may be far from V."""
+        return self.contrast > LARGEST_CONTRAST and self._is_large
 
     @property
     def is_doubtful(self) -> bool:
@@ -114,7 +116,7 @@ class Unexplained(NamedTuple):
         return self.stars >= LEAST_SHARE * self.matched_stars and self.guides >= LEAST_SHARE * self.matched_guides
 
     def __str__(self) -> str:
-        if self.contrast > LARGEST_CONTRAST:
+        if self.leaves_a_part:
             where = "in one part of the image"
             return f"{self.stars} bright stars and {self.guides} bright guide stars {where} are unexplained"
         if self.beside > self.matched_stars:
@@ -284,7 +286,7 @@ def is_part_hidden(positions: FloatArray, matched: BoolArray) -> bool:
     Where only windows about the guide stars were read, what else is there is not known.
     """
     kind, twice = matched.astype(np.int64), np.concatenate([positions, positions])
-    return Unexplained(*contradiction(np.concatenate([kind, 2 + kind]), twice)).contradicts
+    return Unexplained(*contradiction(np.concatenate([kind, 2 + kind]), twice)).leaves_a_part
 
 
 @kernel
