@@ -24,6 +24,7 @@ from startracker.identification.whole_sky import all_stars, brightest_stars, qua
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.settings import IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
+from startracker.unexplained import NO_ROWS, Fitted, unexplained_in
 
 _POOR = 20
 _BEYOND_DOUBT = 7.0
@@ -207,6 +208,9 @@ class FreeSearch:
             residual,
         )
         reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
+        left = unexplained_in(xy, Fitted(fit.pairs, residual, fit.matrix, fit.camera), guide, NO_ROWS)
+        if left.leaves_a_part:
+            return Solution(Status.NO_MATCH, f"{reason}; but {left}", centroids=xy, log_false_alarm=chance)
         covariance = fit.covariance
         if not corrects_aberration(self.observer):
             covariance = covariance + unknown_aberration(fit.matrix)

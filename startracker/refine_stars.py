@@ -46,11 +46,11 @@ def refine_stars(
     if len(left) < 2:  # no attitude without it
         return refined, NO_BODIES
     kept = None if directions is None else directions[rows]
-    again = refine(left, _selected(stars, rows), camera, guide, estimator, free, kept, observer)
+    again = refine(left, selected(stars, rows), camera, guide, estimator, free, kept, observer)
     return replace(again, pairs=np.stack([rows[again.pairs[:, 0]], again.pairs[:, 1]], axis=1)), bodies
 
 
-def _selected(stars: Measured, rows: IntArray) -> Measured:
+def selected(stars: Measured, rows: IntArray) -> Measured:
     """Some rows of the centroids."""
     flux, variance, covariance = (
         None if column is None else column[rows] for column in (stars.flux, stars.variance_px2, stars.covariance_px2)

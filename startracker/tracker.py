@@ -31,7 +31,7 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.given_centroids import stated_variance, usable_centroids
 from startracker.given_image import given_image, prior_of
-from startracker.identification.acceptance import is_beyond_doubt
+from startracker.identification.acceptance import accepts, is_beyond_doubt
 from startracker.identification.around_prior import identify_around
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
@@ -39,13 +39,14 @@ from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
 from startracker.records import changed, made
 from startracker.refine import Measured, Refined
-from startracker.refine_stars import refine_stars
+from startracker.refine_stars import refine_stars, selected
 from startracker.registry import lookup
 from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps
+from startracker.unexplained import Fitted, reason_to_refuse
 from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
 
 STATED_PX = 0.15
@@ -260,6 +261,8 @@ class StarTracker:
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
+        elif trailed and not stars.trailed and not solution.solved and accepts(solution.log_false_alarm, self.identification):
+            solution = replace(solution, reason=f"{solution.reason}; they may be fragments of trails")
         return changed(solution, operations=operations), stars, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
@@ -304,7 +307,26 @@ class StarTracker:
             reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
         solution = self._solved(found, refined, stars, guide, observer, clock)
-        return changed(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
+        solution = changed(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
+        return self._checked(solution, refined, stars, guide, clock)
+
+    def _checked(
+        self, solution: Solution, refined: Refined, stars: Measured, guide: GuideDatabase, clock: Clock
+    ) -> Solution:
+        """The solution, or one without an attitude if there is a `reason_to_refuse` it."""
+        fit = Fitted(refined.pairs[refined.used], refined.residual_px[refined.used], refined.matrix, refined.camera)
+
+        def identify(rows: IntArray) -> IntArray:
+            observed, _, _ = self._observed(selected(stars, rows))
+            return self._identify(observed, guide, self.identification, None).pairs[:, 1]
+
+        reason = reason_to_refuse(stars.xy, self._stated_px(stars), fit, guide, solution.bodies.centroid, identify)
+        if not reason:
+            return solution
+        refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {reason}", clock, stars.xy)
+        steps = (*solution.steps, *attitude_steps(solution))
+        chance = solution.log_false_alarm
+        return replace(refused, steps=steps, operations=solution.operations, log_false_alarm=chance)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""
@@ -328,12 +350,15 @@ class StarTracker:
         step = search_step(search.trials, (band,), (camera.parity,))
         return found, (step, Step("identification", found.reason))
 
+    def _stated_px(self, stars: Measured) -> FloatArray:
+        """Standard errors (N,) assumed for the identification."""
+        if stars.variance_px2 is None:
+            return filled(len(stars.xy), STATED_PX)
+        return np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
+
     def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
         """Directions for the identification, the centroids that have one, and those of all centroids."""
-        if stars.variance_px2 is None:
-            stated = filled(len(stars.xy), STATED_PX)
-        else:
-            stated = np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
+        stated = self._stated_px(stars)
         camera, most = self.camera, self.identification.max_centroids
         directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
         signal = None if stars.flux is None else stars.flux[usable[:most]]

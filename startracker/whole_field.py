@@ -55,9 +55,9 @@ def may_be_pieces(solution: Solution, flux: FloatArray, guide: GuideDatabase, st
 
 
 def best_look(looks: Sequence[tuple[FoundStars, Solution]]) -> tuple[FoundStars, Solution]:
-    """The solution with the strongest evidence of several hypotheses for a frame; the last one if none is solved."""
-    solved = [look for look in looks if look[1].solved]
-    return min(solved, key=lambda look: look[1].log_false_alarm) if solved else looks[-1]
+    """The solution with the strongest evidence of several hypotheses for a frame, solved ones first; the last one if
+    there is no evidence."""
+    return min(reversed(looks), key=lambda look: (not look[1].solved, look[1].log_false_alarm))
 
 
 def misfit_px(solution: Solution) -> float:

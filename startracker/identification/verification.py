@@ -25,6 +25,9 @@ FOCAL_SIGMA = 0.01
 MOST_EXTRA = 10
 OVERHEAD = 10_000
 """Operations of a verification besides those that grow with the numbers of stars."""
+FEWEST_FOR_FOCAL = 5
+"""Matched stars from which the focal length may be fitted: with it three or four fit the wrong stars of a field too
+easily."""
 _NARROWING = 3.0
 _NARROWEST = 0.8
 _ROUNDS = 5
@@ -100,7 +103,7 @@ class Verified(NamedTuple):
     Parameters
     ----------
     log_b : float
-        ln B; −inf: fewer than three stars agree.
+        ln B; −inf: too few stars agree.
     matrix : (3, 3)
         ICRS to camera.
     focal, scale : float
@@ -259,9 +262,10 @@ def verify_attitude(
     scale : float
         Of the first gate, which is 4.5 times this times the stated errors.
     free_focal : bool
-        Whether ln f is fitted too, 0 ± `FOCAL_SIGMA` a priori.
+        Whether ln f is fitted too, 0 ± `FOCAL_SIGMA` a priori; from `FEWEST_FOR_FOCAL` stars on.
     """
     n, operations, unknowns = len(stars.vectors), OVERHEAD, 4 if free_focal else 3
+    fewest = FEWEST_FOR_FOCAL if free_focal else 3
     field = _field_at(matrix, sky, 2 * n + MOST_EXTRA)
     guides, weighed, pairs, count = len(field.guide), np.empty(0, np.int64), np.empty((n, 2), np.int64), 0
     best, log_b, fitting = matrix, -math.inf, scale
@@ -271,7 +275,7 @@ def verify_attitude(
         fit = _settle(matrix, focal, stars, field, step, widen, unknowns)
         matrix, focal = fit.matrix, fit.focal
         operations += fit.rounds * n * guides
-        if fit.matched < 3:
+        if fit.matched < fewest:
             break
         # a narrower gate that drops none changes nothing
         if free_focal or not _same(fit.guide, weighed):

@@ -21,6 +21,7 @@ from startracker.tracker import StarTracker
 from startracker.tracking.looking import Expected, Seen
 from startracker.tracking.matching import track
 from startracker.tracking.mekf import Innovation, Mekf
+from startracker.unexplained import Unexplained, is_part_hidden, unexplained_of
 
 _LEAST_WORTH = math.log(100.0)
 """Minimum evidence for a filter update with stars that are too few for an attitude."""
@@ -46,6 +47,26 @@ class Followed:
     partner: IntArray
     residual_px: FloatArray
     log_chance: float
+
+    def unexplained(self, camera: Camera) -> Unexplained:
+        """Bright stars that the match leaves unexplained (`startracker.unexplained`)."""
+        positions, matched = self._guide_stars(camera)
+        found, flux = np.zeros(len(self.seen.xy), np.bool_), self.seen.flux
+        found[self.stars] = True
+        order = np.argsort(-flux, kind="stable")  # NaN, as not known, leaves the order of the list
+        return unexplained_of(self.seen.xy[order], found[order], positions, matched)
+
+    def hides_a_part(self, camera: Camera) -> bool:
+        """Whether the guide stars of a part of the image were not found in their windows, so that it must be seen what
+        is there instead."""
+        return self.seen.windows > 0 and is_part_hidden(*self._guide_stars(camera))
+
+    def _guide_stars(self, camera: Camera) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Positions (K, 2) of the bright guide stars, and which are matched."""
+        positions = to_pixels(self.expected.directions @ self.filter.matrix.T, camera.image_map)
+        matched = np.zeros(len(positions), np.bool_)
+        matched[self.partner] = True
+        return positions, matched
 
     def solution(
         self,

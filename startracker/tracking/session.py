@@ -205,7 +205,7 @@ class TrackingSession:
             seen = look(given.image, self.tracker, expected, half, length, self._scatter.factor, *detector)
             clock.lap("windows")
             followed = self._follow(seen, expected)
-            if self._accepts(followed):
+            if self._accepts(followed) and not followed.hides_a_part(self.tracker.camera):
                 return self._tracked(followed, clock)
         prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
         found = self.tracker.solve(given, prior=prior, prior_deg=prior_deg)
@@ -298,7 +298,9 @@ class TrackingSession:
     def _follow(self, seen: Seen | None, expected: Expected) -> Followed | None:
         if seen is None:
             return None
-        return self._watched.follow(self.tracker.camera, seen, expected, self.tracker.identification)
+        followed = self._watched.follow(self.tracker.camera, seen, expected, self.tracker.identification)
+        contradicted = followed is not None and followed.unexplained(self.tracker.camera).contradicts
+        return None if contradicted else followed
 
     def _follow_centroids(
         self, points: FloatArray, flux: ArrayLike | None, observer: Observer | None
