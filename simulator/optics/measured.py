@@ -15,14 +15,15 @@ CONTRAST = 50.0
 typical of the stars that dominate calibrations and attitudes."""
 _PHASES = 7
 """Number of sub-pixel positions along each axis; odd, so that mirrored images have mirrored positions."""
-_LEAST_HALF_PX, _WIDTHS = 2, 2.5
-"""Half width of the fitted window, pixels and standard deviations of the Gaussian."""
+_LEAST_HALF_PX, _LARGEST_HALF_PX, _WIDTHS = 2, 8, 2.5
+"""Half width of the fitted window, pixels and standard deviations of the Gaussian, as in `startracker.centroid`."""
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 _POSITION, _ALL = 2, 5
 _STEP = 1e-4
 _LONGEST_STEP_PX = 0.2
 _TOLERANCE_PX = 1e-6
 _MOST_STEPS = 60
+_MOST_WINDOWS = 12
 _LEAST_VARIANCE_PX2 = 0.01
 _PIXEL_PX2, _NARROW_PX2 = 1.0 / 12.0, 0.05
 """Variance of a uniform pixel, and the minimum variance at the start of a fit."""
@@ -34,7 +35,8 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     A camera is calibrated with many stars at random sub-pixel positions, so that the shift of its centroids from the
     geometric one, averaged over the pixel, is part of its distortion and alignment. The pixel-integrated image at
     `_PHASES`² sub-pixel positions is fitted with a pixel-integrated elliptical Gaussian, and again with the median
-    ellipse, as the stars of a frame are. The position is the mean of these fits. Weights are 1/(1 + q p/m) with the
+    ellipse, as the stars of a frame are. The position is the mean of these fits. The window is that about the
+    position: it begins at the peak, which of a defocused image lies anywhere on a ring, and follows the fits. Weights are 1/(1 + q p/m) with the
     model p, its maximum m and q = `CONTRAST`. Positions of much brighter and fainter stars differ: for coma by up to a
     third of the distance to the geometric centroid.
 
@@ -54,13 +56,27 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     peak_y, peak_x = np.unravel_index(int(np.argmax(light)), light.shape)
     xx = max(float(along_x @ np.minimum((at - at[peak_x]) ** 2, 9.0)) - _PIXEL_PX2, _NARROW_PX2)
     yy = max(float(along_y @ np.minimum((at - at[peak_y]) ** 2, 9.0)) - _PIXEL_PX2, _NARROW_PX2)
-    half = min(max(_LEAST_HALF_PX, math.ceil(_WIDTHS * math.sqrt(max(xx, yy)))), half_px - 1)
-    pixels, stamps = _stamps(light, at, int(peak_x), int(peak_y), half)
-    fits = np.tile([at[peak_x], at[peak_y], xx, yy, 0.0], (len(stamps), 1))
-    fits = _fit(pixels, stamps, fits, _ALL)
-    fits[:, 2:] = np.median(fits[:, 2:], axis=0)
-    x, y = _fit(pixels, stamps, fits, _POSITION)[:, :2].mean(axis=0)
+    half = _half_width(xx, yy, 0.0, half_px)
+    column, row = int(peak_x), int(peak_y)
+    fits = np.tile([at[column], at[row], xx, yy, 0.0], (_PHASES**2, 1))
+    for _ in range(_MOST_WINDOWS):
+        pixels, stamps = _stamps(light, at, column, row, half)
+        fits = _fit(pixels, stamps, fits, _ALL)
+        fits[:, 2:] = np.median(fits[:, 2:], axis=0)
+        fits = _fit(pixels, stamps, fits, _POSITION)
+        x, y = fits[:, :2].mean(axis=0)
+        last = column, row, half
+        column, row = round(float(x) * _PHASES) + count, round(float(y) * _PHASES) + count
+        half = _half_width(*fits[0, 2:], half_px)
+        if (column, row, half) == last:
+            break
     return float(x), float(y)
+
+
+def _half_width(xx: float, yy: float, xy: float, half_px: int) -> int:
+    """Half width of the window of an ellipse of these variances and covariance, pixels."""
+    major = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+    return min(max(_LEAST_HALF_PX, math.ceil(_WIDTHS * math.sqrt(major))), _LARGEST_HALF_PX, half_px - 1)
 
 
 def _stamps(light: FloatArray, at: FloatArray, x: int, y: int, half: int) -> tuple[FloatArray, FloatArray]:

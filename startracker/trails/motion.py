@@ -39,6 +39,9 @@ _LENGTH_STEP = 1.02
 _LOSS = 25.0
 """Largest loss of a line's signal-to-noise ratio squared that counts, of 5 standard errors, and the least by which any
 other length must be worse."""
+_BLUR_SIGMAS = 6.0
+"""Largest blur of both ends together in widths of the star image: three widths beyond an end a trail that has 1,000
+times the noise is as bright as the noise."""
 _CUT_PX = 4.0
 """A trail that ends nearer to the border may go on beyond."""
 _LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1
@@ -216,6 +219,7 @@ def _fitted(
         return None
     made, variance = np.array(fits), np.array(errors)
     trails = lengths_of(made)
+    motion = _without_blur(motion, made, signal.middle)
     fitting = agrees(trails, motion_at(made[:, [X, Y]] - signal.middle, motion))
     if np.count_nonzero(fitting) < _FEWEST:
         return None
@@ -227,6 +231,18 @@ def _fitted(
         turn = fit_turn(made[:, [X, Y]], trails, variance, motion, camera)
     sigma = median(made[:_WIDTH_TRAILS, SIGMA].copy()) if measure_sigma else float(straight.table[0, SIGMA])
     return CommonMotion(motion, covariance, signal.middle, sigma, turn)
+
+
+def _without_blur(motion: FloatArray, fits: FloatArray, middle: FloatArray) -> FloatArray:
+    """The motion, shorter by as much as the fits (N, 7) are shorter than it in the median, within `_BLUR_SIGMAS`.
+
+    The light along a line (`light_along`) is clipped, so that its length is that of the trail with the blur at both
+    ends: of a bright trail of 10 px it is 13 px.
+    """
+    expected = np.hypot(*motion_at(fits[:, [X, Y]] - middle, motion).T)
+    longer_by = median(expected - 2.0 * fits[:, HALF])
+    blur = min(max(longer_by, 0.0), _BLUR_SIGMAS * median(fits[:, SIGMA].copy()))
+    return motion * (1.0 - blur / median(expected))
 
 
 def _weighted_motion(

@@ -181,6 +181,23 @@ def test_bright_streaks_that_differ_a_little_are_measured_each_for_itself() -> N
         assert error @ np.linalg.solve(found.centroids.covariance[k], error) < 16.0
 
 
+@pytest.mark.parametrize("length", [6.0, 10.0, 16.0])
+@pytest.mark.parametrize("degrees", [0.0, 63.0])
+def test_bright_streaks_are_as_long_as_they_are(length: float, degrees: float) -> None:
+    """Light of a bright trail is above the noise up to three widths beyond its ends, so that all lines appear longer
+    than the fits: with the length of the light no motion was found among bright trails of 6 to 10 px."""
+    image, places, _, motion = field(3, length, degrees, np.geomspace(1000.0, 200.0, 14))
+    light = np.maximum(image - 300.0, 0.0)
+    image += np.random.default_rng(1).normal(size=image.shape).astype(np.float32) * np.sqrt(light)
+    known = np.column_stack([places, np.tile(0.5 * np.array(motion[:2]), (len(places), 1))])
+    found = find_trails(image, estimate(image), gain_e_per_dn=1.0, known=known)
+    assert found is not None
+    assert len(found.centroids) == len(places)
+    # an end is known to √(2π) σ / r px, r the signal of a pixel's length over the noise: below 0.1 px for the faintest
+    # trail, and the motion is the mean of 12
+    assert np.hypot(*found.motion[:2]) == pytest.approx(length, abs=0.06)
+
+
 def test_no_streaks_in_noise_and_in_a_still_field() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
