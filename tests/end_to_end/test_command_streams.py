@@ -8,7 +8,8 @@ import pytest
 
 from simulator.cli import streams
 
-LIGHT = ["--help", "--version", "show cubesat", "schema", "validate cubesat", "run --help"]
+LIGHT = ["--help", "show cubesat"]
+OTHERS = ["--version", "", "schema", "run --help", "study --help", "validate cubesat"]
 FULL = "/dev/full"
 HERE = {"PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
 pytestmark = pytest.mark.skipif(not os.path.exists(FULL), reason="needs /dev/full")
@@ -26,7 +27,7 @@ def command(words, redirection="", **environment):
     )
 
 
-@pytest.mark.parametrize("words", LIGHT)
+@pytest.mark.parametrize("words", [*LIGHT, *(pytest.param(words, marks=pytest.mark.system) for words in OTHERS)])
 def test_lost_output_is_one_line_and_status_2(words):
     done = command(words, f">{FULL}")
     assert done.returncode == 2
@@ -37,8 +38,8 @@ def test_lost_output_is_one_line_and_status_2(words):
     ("redirection", "says"),
     [
         (">&-", "standard output is closed; send it to a file, or to /dev/null\n"),
-        (f">{FULL} 2>{FULL}", ""),
-        (f">{FULL} 2>&-", ""),
+        pytest.param(f">{FULL} 2>{FULL}", "", marks=pytest.mark.system),
+        pytest.param(f">{FULL} 2>&-", "", marks=pytest.mark.system),
     ],
 )
 def test_closed_streams(redirection, says):
@@ -46,6 +47,7 @@ def test_closed_streams(redirection, says):
     assert (done.returncode, done.stderr.decode()) == (2, says)
 
 
+@pytest.mark.system
 def test_output_without_a_buffer():
     done = command("show cubesat", f">{FULL}", PYTHONUNBUFFERED="1")
     assert done.returncode == 2
@@ -54,11 +56,15 @@ def test_output_without_a_buffer():
 
 def test_a_mistake_keeps_its_status_when_it_cannot_be_said():
     assert command("validate nosuch", f"2>{FULL}").returncode == 2
+
+
+@pytest.mark.system
+def test_a_closed_error_stream():
     assert command("validate nosuch", "2>&-").returncode == 2
     assert command("validate cubesat", "2>&-").stdout == b"cubesat: ok\n"
 
 
-@pytest.mark.parametrize("words", ["show cubesat", "--help"])
+@pytest.mark.parametrize("words", [pytest.param("show cubesat", marks=pytest.mark.system), "--help"])
 def test_a_reader_that_has_gone_ends_the_command_silently(words):
     line = f'{{ "$0" -m simulator.cli {words}; echo $? >&2; }} | true'
     shell = ["sh", "-c", line, sys.executable]
@@ -74,9 +80,13 @@ def test_a_closed_input():
 
 
 @pytest.mark.parametrize(
-    "environment", [{"LC_ALL": "POSIX", "PYTHONUTF8": "0"}, {"PYTHONIOENCODING": "ascii"}], ids=["locale", "encoding"]
+    ("words", "environment"),
+    [
+        ("show cubesat", {"LC_ALL": "POSIX", "PYTHONUTF8": "0"}),
+        pytest.param("schema", {"PYTHONIOENCODING": "ascii"}, marks=pytest.mark.system),
+        ("--help", {"PYTHONIOENCODING": "ascii"}),
+    ],
 )
-@pytest.mark.parametrize("words", ["show cubesat", "schema", "--help"])
 def test_output_in_ascii(words, environment):
     done = command(words, **environment)
     assert (done.returncode, done.stderr) == (0, b"")

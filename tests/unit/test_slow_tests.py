@@ -53,7 +53,7 @@ def test_the_records_are_of_tests_that_exist():
 
 
 def test_a_test_covers_what_it_imports_directly_and_indirectly():
-    """The table of a test that imports one leaf, and one that starts commands."""
+    """A test of one leaf of the package: not of what nothing in it imports."""
     leaf = slow_tests.ROOT / "tests/property/test_camera_projection.py"
     covered = slow_tests.covers(leaf, [
         "startracker/geometry/camera.py", "startracker/geometry/fisheye.py", "simulator/study/run.py", "docs/index.md",
@@ -65,6 +65,10 @@ def test_a_test_covers_what_it_imports_directly_and_indirectly():
         "tests/property/test_camera_projection.py",
         "pyproject.toml",
     ]
+
+
+@pytest.mark.system
+def test_a_test_of_studies_covers_all_of_it():
     study = slow_tests.ROOT / "tests/end_to_end/test_scenarios.py"
     for path in ("simulator/detector/pixels.py", "startracker/tracker.py", "scenarios/sunsat.yaml"):
         assert slow_tests.covers(study, [path]) == [path]

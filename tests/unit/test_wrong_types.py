@@ -358,7 +358,13 @@ for _name in SETTINGS:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("label", CALLS)
+SLOW = ("simulator.run", "simulator.study.sequence.run.run_sequence", "startracker.solve_unknown_fov")
+"""These do seconds of work with each value that they accept."""
+
+
+@pytest.mark.parametrize(
+    "label", [pytest.param(label, marks=[pytest.mark.system] * (label in SLOW)) for label in CALLS]
+)
 def test_every_argument_of_a_wrong_type(label, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where "x" is no file
     call, right = CALLS[label]
@@ -449,8 +455,7 @@ EXCEPT = {
     ("simulator.run", "progress"): ("type",),  # int(1, 1) fails on its own
     ("simulator.study.sequence.run.run_sequence", "progress"): ("type",),
 }
-SLOW = ("simulator.run", "simulator.study.sequence.run.run_sequence", "startracker.solve_unknown_fov")
 ACCEPTED_SLOWLY = ("None", "number", "fraction", "truth")
-"""Kinds that most arguments of these accept, which then do their work."""
+"""Kinds that most arguments of these accept."""
 MANY_LINES = {name for name in CALLS if name.startswith("simulator.")}
 """A scenario with several faults has a line for each."""
