@@ -25,8 +25,8 @@ import numpy as np
 from benchmarks.doubtful_lists import (
     FIELDS,
     GROUPS,
-    DoubtfulList,
     SIZE_PX,
+    DoubtfulList,
     camera_of,
     doubtful_list,
 )
@@ -73,7 +73,7 @@ def _tracker(field: int, identifier: str, focal_error: float) -> StarTracker:
 
 def solve(given: DoubtfulList, mode: str) -> Solution:
     """Solution of a list in one of the modes."""
-    name = mode.split(",")[0]
+    name = mode.split(",", maxsplit=1)[0]
     if name not in ("update_centroids", "focal_error 0.1"):
         tracker = _tracker(given.field, name, 0.0)
     else:

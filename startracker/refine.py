@@ -13,6 +13,7 @@ from startracker.arrays import BoolArray, FloatArray, IntArray, filled, same
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
+from startracker.estimation.few_stars import of_unknown_errors, with_doubt
 from startracker.estimation.field_fit import Estimator, FieldFit, takes_field
 from startracker.estimation.image_errors import (
     AMPLITUDE_SIGMA,
@@ -22,20 +23,14 @@ from startracker.estimation.image_errors import (
     probability_as_assumed,
     shared_shift,
 )
-from startracker.estimation.pose import (
-    TRUSTED,
-    Linearised,
-    Pose,
-    displacements,
-    few_stars_factor,
-    fit_pose,
-)
+from startracker.estimation.pose import TRUSTED, Linearised, Pose, displacements, fit_pose
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import CX, WIDTH, pixel_slopes
 from startracker.geometry.linalg import solve, turned
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
+from startracker.outliers import FEWEST_STARS, MOST_STARS, average, is_suspicious, log_weight, rows_of
 from startracker.records import made
 from startracker.seen_stars import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.sorting import median
@@ -44,6 +39,11 @@ _FEWEST_TO_REJECT = 4
 _ROUNDS = 4
 _MOST_FIT = 0.85
 """Minimum fraction of identified stars that fit; fewer than one in ten are blends."""
+_MOST_BLENDS = 2
+"""Number of blends that any field may have, whatever their fraction."""
+_DECISIVE = 23.0
+"""ln of the evidence for more blends, 1e10: with errors of ±0.1 px where 0.015 px are stated, 13 of 16 stars agree by
+chance in one field in fifty, with an evidence of 5e7."""
 NAMED_PX, BY_CHANCE = 2.5, 0.02
 """Maximum distance at which a centroid is identified with a guide star, and maximum fraction of guide stars that would
 have a centroid at this distance by chance."""
@@ -135,10 +135,10 @@ def refine(
     field = _Field(xy, stated, known, camera, guide, free_focal, observer, as_assumed, displaced)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
     fit = field.settled(used, matrix, fewest)
-    if known and len(fit.named) > len(fit.used) and np.count_nonzero(fit.fits) < _MOST_FIT * len(fit.named):
-        # too many for blends: errors may be larger than stated, and chance agreements may confirm each other
-        other = field.settled(fit.named, fit.matrix, fewest)
-        fit = other if np.count_nonzero(other.fits) > np.count_nonzero(fit.fits) else fit
+    if known:
+        fit = field.weighed(fit, pairs, fewest)
+        if FEWEST_STARS <= len(fit.used) <= MOST_STARS:
+            fit = fit._replace(pose=with_doubt(fit.pose, len(fit.used)))
     used, named, fits = fit.used, fit.named, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
@@ -250,6 +250,50 @@ class _Field(NamedTuple):
             named, fits, merged = self.named(pose, matrix, errors)
         return _Fit(pose, matrix, errors, used, measured, named, fits)
 
+    def weighed(self, fit: _Fit, pairs: IntArray, fewest: int) -> _Fit:
+        """The fit, if no other one explains the same stars better: of few stars, one without displaced ones; of many,
+        one of all, if many of them do not fit."""
+        for last in (False, True):
+            if len(fit.named) > MOST_STARS:
+                return self._with_all(fit, fewest)
+            unchanged = len(pairs) <= len(fit.named) == np.count_nonzero(fit.fits)
+            stars = fit.named if unchanged else joined(pairs, fit.named)[0]
+            if unchanged and not is_suspicious(fit.pose, len(stars)):
+                return fit
+            if not FEWEST_STARS <= len(stars) <= MOST_STARS:
+                return fit
+            before, fit = fit, self._averaged(fit, stars)
+            if last or same(fit.used, before.used):
+                return fit
+            # the attitude may have been far off, and stars not identified
+            again = self.settled(fit.used, fit.matrix, len(fit.used))
+            pairs, fit = fit.used, again if len(again.used) >= len(fit.used) else fit
+        return fit
+
+    def _averaged(self, fit: _Fit, stars: IntArray) -> _Fit:
+        """Average over hypotheses of which of few stars (M, 2) are displaced (`startracker.outliers`)."""
+        given, xy = self._linearised(stars, fit.matrix, fit.measured), fit.measured[stars[:, 0]]
+
+        def fitted(rows: IntArray) -> Pose:
+            return self._fitted(rows_of(given, rows), xy[rows])[0]
+
+        pose, used = average(given, fitted)
+        _, errors = self._fitted(rows_of(given, np.flatnonzero(used)), xy[used])
+        x, y, z = pose.turn.tolist()
+        return _Fit(pose, turned(fit.matrix, -x, -y, -z), errors, stars[used], fit.measured, stars, used)
+
+    def _with_all(self, fit: _Fit, fewest: int) -> _Fit:
+        """The fit of all identified stars, if too many for blends do not fit and the evidence is not decisive: errors
+        may be larger than stated, and chance agreements may confirm each other."""
+        stars = fit.named
+        if len(stars) - np.count_nonzero(fit.fits) <= max(_MOST_BLENDS, (1.0 - _MOST_FIT) * len(stars)):
+            return fit
+        other, weight = self.settled(stars, fit.matrix, fewest), []
+        for of in (fit, other):
+            used, pose = np.isin(stars[:, 0], of.used[:, 0]), of.pose._replace(turn=np.zeros(3))
+            weight.append(log_weight(self._linearised(stars, of.matrix, of.measured), used, pose))
+        return fit if weight[0] - weight[1] > _DECISIVE else other
+
     def _error_columns(self, xy: FloatArray) -> FloatArray:
         """`error_columns` of measured positions (N, 2) of this camera."""
         camera = self.camera
@@ -260,31 +304,34 @@ class _Field(NamedTuple):
         """Measured positions (N, 2) without the errors common to the field."""
         return xy - self._error_columns(xy) @ errors.amplitudes if len(errors.amplitudes) else xy
 
+    def _linearised(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> Linearised:
+        """Pairs (M, 2) about an attitude (3, 3), from measured positions (N, 2), see `named`."""
+        stars, (pixels, offset, slopes, extra) = pairs[:, 0], self.seen(pairs[:, 1], matrix)
+        stated, sigma = self.stated[stars], self.extra_sigma
+        return Linearised(measured[stars] - pixels, slopes, offset, stated, extra, sigma, self.as_assumed)
+
     def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, ImageErrors]:
         """Pose of some pairs (M, 2), linearised about an attitude (3, 3), its attitude, and the errors common to the
         field; from measured positions (N, 2), see `named`."""
-        stars, camera = pairs[:, 0], self.camera
-        pixels, offset, slopes, extra = self.seen(pairs[:, 1], matrix)
-        residual, extra_sigma = measured[stars] - pixels, self.extra_sigma
-        first, models = 1 if self.free_focal else 0, 2 if camera.row_time_s else 3
-        given = Linearised(residual, slopes, offset, self.stated[stars], extra, extra_sigma, self.as_assumed)
-        errors = NO_IMAGE_ERRORS
-        if self.known:
-            pose = fit_pose(given, TRUSTED, first, models, 1)
-            if self.as_assumed < _MISFITTING:
-                columns = np.concatenate([extra, self._error_columns(measured[stars])], axis=2)
-                sigma = np.concatenate([extra_sigma, math.sqrt(pose.systematic_px2) * AMPLITUDE_SIGMA])
-                other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models, 1)
-                if other.log_evidence > pose.log_evidence:
-                    theirs = np.arange(len(extra_sigma), len(sigma))
-                    errors = ImageErrors(other.unknowns[theirs], other.unknowns_variance[theirs])
-                    pose = other._replace(unknowns=np.delete(other.unknowns, theirs))
-        else:
-            pose = fit_pose(given, 0.0, first, models, 2)
-            factor = few_stars_factor(max(2 * len(stars) - 3, 1))
-            pose = pose._replace(covariance=pose.covariance * factor, camera_part=pose.camera_part * factor)
+        pose, errors = self._fitted(self._linearised(pairs, matrix, measured), measured[pairs[:, 0]])
         x, y, z = pose.turn.tolist()
         return pose, turned(matrix, -x, -y, -z), errors
+
+    def _fitted(self, given: Linearised, xy: FloatArray) -> tuple[Pose, ImageErrors]:
+        """Pose of stars at measured positions (M, 2), and the errors common to the field."""
+        first, models = 1 if self.free_focal else 0, 2 if self.camera.row_time_s else 3
+        if not self.known:
+            return of_unknown_errors(fit_pose(given, 0.0, first, models, 2), len(xy)), NO_IMAGE_ERRORS
+        pose, errors = fit_pose(given, TRUSTED, first, models, 1), NO_IMAGE_ERRORS
+        if self.as_assumed < _MISFITTING:
+            columns = np.concatenate([given.extra, self._error_columns(xy)], axis=2)
+            sigma = np.concatenate([given.extra_sigma, math.sqrt(pose.systematic_px2) * AMPLITUDE_SIGMA])
+            other = fit_pose(given._replace(extra=columns, extra_sigma=sigma), TRUSTED, first, models, 1)
+            if other.log_evidence > pose.log_evidence:
+                theirs = np.arange(len(given.extra_sigma), len(sigma))
+                errors = ImageErrors(other.unknowns[theirs], other.unknowns_variance[theirs])
+                pose = other._replace(unknowns=np.delete(other.unknowns, theirs))
+        return pose, errors
 
     def named(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
         """Pairs (K, 2) of all centroids of guide stars, which of them fit within their errors, and the positions (N,
@@ -310,8 +357,8 @@ class _Field(NamedTuple):
         """Attitude by the estimator, and its covariance.
 
         An estimator is given the matched stars as directions, without the displacements that the fit found, and their
-        errors as the fit estimated them. Its own covariance does not contain what remains unknown of the camera, nor
-        that errors known only from the residuals of a few stars are uncertain.
+        errors as the fit estimated them, with the factor for few stars. Its own covariance does not contain what
+        remains unknown of the camera.
         """
         pose, matrix, used, camera = fit.pose, fit.matrix, fit.used, self.camera
         measured = self._corrected(fit.measured, fit.errors)
@@ -325,8 +372,7 @@ class _Field(NamedTuple):
             matrix, covariance = estimate.matrix, estimate.covariance
         else:
             estimate = estimator(seen, reference, sigma_rad)
-            factor = 1.0 if self.known else few_stars_factor(max(2 * len(used) - 3, 1))
-            matrix, covariance = estimate.matrix, estimate.covariance * factor + pose.camera_part
+            matrix, covariance = estimate.matrix, estimate.covariance + pose.camera_part
         if not corrects_aberration(self.observer):
             covariance = covariance + unknown_aberration(matrix)
         return matrix, covariance

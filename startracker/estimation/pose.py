@@ -25,7 +25,7 @@ N = Hᵀ V⁻¹ H + Λ⁻¹, χ² = rᵀ V⁻¹ r − rᵀ V⁻¹ H N⁻¹ Hᵀ 
 
     mean        N⁻¹ Hᵀ V⁻¹ r
     covariance  N⁻¹ (n + χ²)/(n + ν − 2), that of a t distribution
-    evidence    |V|^(−1/2) |Λ|^(−1/2) |N|^(−1/2) (n + χ²)^(−(n + ν)/2)
+    evidence    Γ((n + ν)/2)/Γ(n/2) n^(n/2) π^(−ν/2) |V|^(−1/2) |Λ|^(−1/2) |N|^(−1/2) (n + χ²)^(−(n + ν)/2)
 
 The models are averaged with their evidence (Hoeting et al. 1999, Statistical Science 14, 382): the covariance is the
 mean of theirs plus the scatter of their means. Without significant deviations the plain model has nearly all the
@@ -39,11 +39,9 @@ which does not appear in residuals; therefore w² is added to the variance about
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtri
 
 from startracker.arrays import FloatArray
 from startracker.estimation.image_errors import AS_ASSUMED
@@ -111,17 +109,10 @@ class Pose(NamedTuple):
     """Amplitudes of the caller's columns, relative correction of the focal length, shears (`displacements`), and their
     variances, (E + 3,)."""
     log_evidence: float
-    """ln of the evidence of all models together, up to a constant that only depends on the stars."""
-
-
-@lru_cache(maxsize=1024)
-def few_stars_factor(freedom: int) -> float:
-    """Factor of a covariance χ²/ν · P, so that it contains 99 % of the errors: 3 F₀.₉₉(3, ν)/χ²₀.₉₉(3).
-
-    With errors known only from the residuals, eᵀP⁻¹e/(3 χ²/ν) is distributed as F(3, ν), not as χ²/3: for three stars
-    (ν = 3) its 99 % quantile is larger by a factor of 7.8.
-    """
-    return float(3.0 * fdtri(3.0, float(freedom), 0.99) / chdtri(3.0, 0.01))
+    """ln of the evidence of all models together, comparable with that of some of the same stars if their errors are
+    stated, and otherwise with that of the same stars."""
+    chi2: float
+    """χ² of the first model without systematic error: of the residuals and stated errors."""
 
 
 @kernel_part
@@ -239,7 +230,7 @@ def _fit_models(
     stars: Linearised, columns: FloatArray, trusted: float, first: int, models: int, shape: FloatArray
 ) -> Pose:
     """`fit_pose` with the systematic error's covariance τ² `shape`."""
-    known, stated = len(stars.extra_sigma), stars.covariance
+    stated = stars.covariance
     prior_sigma = _prior_sigma(stars.extra_sigma, first)
     trace, to_sort = np.empty(len(columns)), np.empty(len(columns))
     for n in range(len(columns)):
@@ -248,7 +239,9 @@ def _fit_models(
     weight, scale, mean, every, plain = _fit_each_model(
         stars, columns, prior_sigma, trusted, first, models, unit, shape
     )
-    pose: Pose = _averaged(weight, scale, mean, every, plain, trace, unit, known)
+    power = max(trusted + 2.0 * len(columns) - 3.0 - (2.0 if trusted > 0.0 else 0.0), 1.0)
+    chi2 = scale[0, first] * power - trusted
+    pose: Pose = _averaged(weight, scale, mean, every, plain, trace, unit, chi2)
     return pose
 
 
@@ -301,6 +294,11 @@ def _fit_each_model(
     mean, every = np.zeros((grid, 3, widest)), np.zeros((grid, 3, widest, widest))
     plain, normal, right = np.zeros((grid, 3, 3)), np.empty((widest, widest)), np.empty(widest)
     added, flat = np.empty((widest, widest)), np.empty((2, 2))
+    # the same for all models, but not for fits of fewer stars
+    constant = 0.0
+    if trusted > 0.0:
+        constant = math.lgamma(0.5 * (trusted + freedom)) - math.lgamma(0.5 * trusted)
+        constant += 0.5 * (trusted * math.log(trusted) - freedom * math.log(math.pi))
     for t in range(grid):
         for i in range(2):
             for j in range(2):
@@ -312,13 +310,13 @@ def _fit_each_model(
                 plain[t, i, j] = rotation[i, j]
         for m in range(first, models):
             size = (3 + known, 4 + known, 6 + known)[m]
-            log_prior = 0.0
+            log_width = 0.0
             for i in range(size):
                 for j in range(i + 1):
                     added[i, j] = normal[i, j]
             for k in range(3, size):
                 added[k, k] += 1.0 / prior_sigma[m, k] ** 2
-                log_prior -= 2.0 * math.log(prior_sigma[m, k])
+                log_width += 2.0 * math.log(prior_sigma[m, k])
             covariance, log_normal = inverse(added, size) if size > 3 else (rotation, log_rotation)
             if not math.isfinite(log_normal):
                 continue
@@ -334,9 +332,10 @@ def _fit_each_model(
                 scale[t, m] = (trusted + chi2) / (power - 2.0)
             else:
                 scale[t, m] = max(chi2 / max(freedom, 1.0), UNKNOWN_FLOOR_PX**2 / unit)
-            log_data = log_det + log_normal - log_prior + power * math.log(trusted + chi2)
+            log_data = log_det + log_normal + log_width + power * math.log(trusted + chi2)
             probable = stars.as_assumed if t == 0 else 1.0 - stars.as_assumed
-            weight[t, m] = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] + math.log(probable) - 0.5 * log_data
+            log_prior = _PRIOR_OF_MODELS[m] + _PRIOR_OF_SYSTEMATIC[t] + math.log(probable)
+            weight[t, m] = constant + log_prior - 0.5 * log_data
     return weight, scale, mean, every, plain
 
 
@@ -349,9 +348,9 @@ def _averaged(
     plain: FloatArray,
     trace: FloatArray,
     unit: float,
-    known: int,
+    chi2: float,
 ) -> Pose:
-    """Moments of the mixture; weights (grid, 3) are given as logarithms."""
+    """Moments of the mixture; weights (grid, 3) are given as logarithms. `chi2` is that of `Pose`."""
     highest, total = -np.inf, 0.0
     for t in range(weight.shape[0]):
         for m in range(3):
@@ -382,7 +381,7 @@ def _averaged(
                     without[i, j] += share * scale[t, m] * plain[t, i, j]
             for i in range(len(centre)):
                 variance[i] += share * (scale[t, m] * every[t, m, i, i] + (mean[t, m, i] - centre[i]) ** 2)
-            last = 5 + known
+            last = len(centre) - 1
             covariance[2, 2] += share * mean[t, m, last] ** 2
     sigma = np.empty(len(trace))
     for n in range(len(trace)):
@@ -390,6 +389,5 @@ def _averaged(
     for i in range(3):
         for j in range(3):
             without[i, j] = covariance[i, j] - without[i, j]
-    return Pose(
-        centre[:3], covariance, without, sigma, systematic, factor, centre[3:], variance[3:], highest + math.log(total)
-    )
+    evidence = highest + math.log(total)
+    return Pose(centre[:3], covariance, without, sigma, systematic, factor, centre[3:], variance[3:], evidence, chi2)

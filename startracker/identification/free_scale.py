@@ -46,7 +46,7 @@ _CORE_MAG, _WIDE_MAG, _WIDE_SHARE = 0.3, 1.5, 0.3
 _MOST_CANDIDATES = 4000
 _LEAST_DEPTH = {"pinhole": 1e-3, "fisheye": -1.0}
 _K1_SIGMA = 0.5
-_FEWEST_FOR_K1 = 10
+FEWEST_FOR_K1 = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +212,7 @@ def grow(
             break
         pairs = new
         camera, matrix, covariance, rms = fit_camera(
-            camera, matrix, guide.directions[pairs[:, 1]], xy[pairs[:, 0]], len(pairs) >= _FEWEST_FOR_K1, k1_expected
+            camera, matrix, guide.directions[pairs[:, 1]], xy[pairs[:, 0]], len(pairs) >= FEWEST_FOR_K1, k1_expected
         )
         if not math.isfinite(rms):
             return None

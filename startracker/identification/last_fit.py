@@ -9,9 +9,10 @@ import numpy as np
 from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
+from startracker.estimation.few_stars import few_stars_factor
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.estimation.wahba import attitude_covariance
-from startracker.identification.free_scale import FreeFit
+from startracker.identification.free_scale import FEWEST_FOR_K1, FreeFit
 from startracker.identification.verification import nearest_unique
 from startracker.lens import PARAMETERS, only
 from startracker.lens_fit import Matches, fit_jointly, noise_floor, significant
@@ -21,13 +22,16 @@ _REJECT_SIGMAS = 3.7
 _STATED_PX = 0.15
 """Error of centroids given without one; the residuals determine the remainder."""
 _FEWEST = 12
+_FITTED = 4
+"""Parameters of a fit of fewer stars: rotation and focal length; and k1 from ten stars on."""
 _LENS = ("f", "k1", "k2", "k3", "p1", "p2")
 """No principal point: in one field it is nearly equivalent to a rotation of the camera, and with a distorting lens a
 shift by c has the form of p1 and p2 to first order, −k1 (r² c + 2 x (x·c)), so that these are fitted instead."""
 
 
 def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guide: GuideDatabase) -> FreeFit:
-    """Fit with every star of the field, weighed by its own error, and every lens parameter that is significant.
+    """Fit with every star of the field, weighed by its own error, and every lens parameter that is significant; and
+    the covariance for errors that are known from the residuals alone (`startracker.estimation.few_stars`).
 
     The same rule of rejection as with a known camera (`startracker.refine`); what was accepted stays where this
     leaves much fewer stars.
@@ -44,7 +48,8 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
         Stars as deep as the image; the first of those that the fit's pairs name.
     """
     if len(fit.pairs) < _FEWEST:
-        return fit
+        fitted = _FITTED + (len(fit.pairs) >= FEWEST_FOR_K1)
+        return replace(fit, covariance=few_stars_factor(2 * len(fit.pairs) - fitted) * fit.covariance)
     own = np.full(len(xy), _STATED_PX**2) if variance_px2 is None else variance_px2
     off = xy[fit.pairs[:, 0]] - fit.camera.project(guide.directions[fit.pairs[:, 1]] @ fit.matrix.T)
     pairs, floor = fit.pairs, noise_floor(off, own[fit.pairs[:, 0]])
@@ -64,7 +69,7 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
         if joint is None:
             return best
         camera, matrix = joint.camera, joint.matrices[0]
-        inflation = max(joint.chi2 / joint.freedom, 1e-12)
+        inflation = few_stars_factor(joint.freedom) * max(joint.chi2 / joint.freedom, 1e-12)
         covariance = joint.covariance[len(names) :, len(names) :] * inflation
         rms = float(np.sqrt(np.mean(joint.residuals[0] ** 2)))
         best = replace(best, camera=camera, matrix=matrix, pairs=pairs, covariance=covariance, rms_px=rms)

@@ -8,7 +8,8 @@ from startracker import Attitude, Camera, StarTracker
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.estimation import pose
-from startracker.estimation.pose import Linearised, displacements, few_stars_factor, fit_pose
+from startracker.estimation.few_stars import few_stars_factor
+from startracker.estimation.pose import Linearised, displacements, fit_pose
 from startracker.geometry.image_map import pixel_slopes
 from startracker.observer import Observer, aberrate, unknown_aberration
 from startracker.solution import MatchedStars
@@ -138,7 +139,10 @@ def test_slopes_are_differences_of_turned_cameras():
 
 @pytest.mark.parametrize("freedom", [1, 3, 7, 57])
 def test_few_stars_factor_is_the_quantile_of_f(freedom):
-    assert few_stars_factor(freedom) == pytest.approx(3.0 * f_distribution.isf(0.01, 3, freedom) / 11.34487, rel=1e-5)
+    # χ² of 3 exceeds 16.26624 once in 1000, and 11.34487 once in 100
+    assert few_stars_factor(freedom) == pytest.approx(3.0 * f_distribution.isf(0.001, 3, freedom) / 16.26624, rel=1e-5)
+    expected = 3.0 * f_distribution.isf(0.01, 3, freedom) / 11.34487
+    assert few_stars_factor(freedom, 0.99) == pytest.approx(expected, rel=1e-5)
 
 
 def test_unknown_aberration_is_the_scatter_over_the_year():
