@@ -34,14 +34,12 @@ def fit_of(stars):
 
 @pytest.mark.parametrize("count", [5, 8])
 def test_a_displaced_star_is_left_out(count):
-    stars = stars_of(1, count, 1.0)
+    stars = stars_of(6, count, 1.0)
     pose, used = average(stars, fit_of(stars))
     assert used.tolist() == [True] * (count - 1) + [False]
     alone = fit_of(stars)(np.arange(count - 1))
-    # a second displaced star may have more than a twentieth of the weight
-    apart = pose.turn - alone.turn
-    assert apart @ np.linalg.solve(alone.covariance, apart) < 1.0
-    np.testing.assert_allclose(np.diag(pose.covariance) / np.diag(alone.covariance), 1.0, atol=0.5)
+    np.testing.assert_allclose(pose.turn, alone.turn)  # no other hypothesis has a twentieth of its weight
+    np.testing.assert_allclose(pose.covariance, alone.covariance)
 
 
 def test_two_displaced_stars_are_left_out():
