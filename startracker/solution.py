@@ -42,6 +42,8 @@ class Status(StrEnum):
     """Tracking: the frame was already processed."""
     BAD_TIME = "bad_time"
     """Tracking: the frame's time is invalid, or not after that of the last frame."""
+    GYRO_MISMATCH = "gyro_mismatch"
+    """Tracking: the stars are static while the gyro measures a rotation beyond its stated errors."""
 
 
 @dataclass(frozen=True, eq=False)

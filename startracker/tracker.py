@@ -261,7 +261,12 @@ class StarTracker:
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
             refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
-        elif trailed and not stars.trailed and not solution.solved and accepts(solution.log_false_alarm, self.identification):
+        elif (
+            trailed
+            and not stars.trailed
+            and not solution.solved
+            and accepts(solution.log_false_alarm, self.identification)
+        ):
             solution = replace(solution, reason=f"{solution.reason}; they may be fragments of trails")
         return changed(solution, operations=operations), stars, steps
 

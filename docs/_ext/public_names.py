@@ -46,6 +46,8 @@ GROUPS = {
         "startracker.fusion.Head",
         "startracker.fusion.AlignedMekf",
         "startracker.fusion.Update",
+        "startracker.fusion.FusionStatus",
+        "startracker.fusion.HeadStatus",
     ],
     "Calibration": [
         "startracker.calibrate",

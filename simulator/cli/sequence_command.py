@@ -101,12 +101,15 @@ def _print_heads(heads: dict[str, Any], console: Console) -> None:
                 outcome_cell(head),
                 *(deg_text(errors[axis]["rms"]) for axis in BODY_AXES),
                 str(used["used"] + used["started"]),
-                str(used["rejected"] + used["restarted"] + used["too_late"]),
+                str(used["rejected"] + used["realigned"] + used["restarted"] + used["too_late"]),
             ]
         )
     headings = ("head", "solved", "wrong", *(f"rms {axis}" for axis in BODY_AXES), "used", "not used")
     print_table(console, "Heads: errors of single frames", headings, rows)
     for name, head in heads.items():
+        unlike = [f"{state} in {n} rows" for state, n in head["agreement"].items() if state != "consistent"]
+        if unlike:
+            console.print(f"Agreement of {name}: {', '.join(unlike)}")
         found = head.get("alignment_arcsec", {})
         off = [
             f"{axis} {each['estimated'] - each['true']:+.2f} ± {each['sigma']:.2f}″"

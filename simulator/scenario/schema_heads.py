@@ -30,6 +30,12 @@ class HeadSection(Section):
     zeros: errors of different frames are independent."""
     correlation_s: Positive = 60.0
     """Correlation time of this part, such as the time that a star takes to cross the field."""
+    bending_arcsec: NonNegative | None = None
+    """Standard deviation that the filter assumes, about each axis, for the motion of the mounting in flight, such as
+    the thermal deformation of the structure; it then estimates the motion. 0: the mounting does not move; null: the
+    largest amplitude of `pointing.thermo_elastic`, divided by √2."""
+    bending_s: Positive = 900.0
+    """Correlation time of this motion: for a deformation that follows the orbit, its period divided by 2π."""
     time_offset_s: NonNegative = 0.0
     """Mid-exposure after the times of the sequence; less than `sequence.step_s`."""
     delay_s: NonNegative = 0.0

@@ -6,10 +6,12 @@ errors and the alignments of the heads.
 
 from __future__ import annotations
 
-from startracker.fusion.alignments import AlignedMekf, Head
-from startracker.fusion.filter import FusionFilter, Measurement, Update
+from startracker.fusion.alignments import AlignedMekf
+from startracker.fusion.filter import FusionFilter
+from startracker.fusion.head import Head
+from startracker.fusion.state import FusionStatus, HeadStatus, Measurement, Update
 
-__all__ = ["AlignedMekf", "FusionFilter", "Head", "Measurement", "Update"]
+__all__ = ["AlignedMekf", "FusionFilter", "FusionStatus", "Head", "HeadStatus", "Measurement", "Update"]
 
 
 def __dir__() -> list[str]:

@@ -17,35 +17,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from startracker.arguments import ABOVE_0, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
-from startracker.fusion.alignments import AlignedMekf, Head
+from startracker.fusion.alignments import AlignedMekf
+from startracker.fusion.head import Head
+from startracker.fusion.state import FusionStatus, HeadRecord, Measurement, State, Update
+from startracker.fusion.status import status_of
+from startracker.fusion.trust import measured
 from startracker.geometry.attitude import Attitude
-from startracker.tracking.mekf import GyroNoise, Innovation, RateNoise
-
-_MOST_REJECTED = 3
-"""Number of successive attitudes beyond the gate, of any heads, after which the filter and not the heads is wrong."""
-_LEAST_STEP_S = 1e-3
-
-
-class Measurement(NamedTuple):
-    """Attitude measured by one head."""
-
-    head: int
-    attitude: Attitude
-    """ICRS to its camera."""
-    covariance: FloatArray
-    """(3, 3): Of its error in camera axes, rad²."""
-
-
-class Update(NamedTuple):
-    """What a measurement did."""
-
-    outcome: str
-    """``started``, ``used``, ``rejected`` (beyond the gate), ``restarted`` (as several in a row were), or ``too_late``
-    (older than the memory)."""
-    innovation: Innovation | None = None
-    """Comparison with the prediction; None for the first one, and one that is too late."""
+from startracker.setting_checks import BELOW_1
+from startracker.tracking.checked import checked_attitude, checked_covariance, checked_rate, checked_time
+from startracker.tracking.mekf import GyroNoise, RateNoise
 
 
 class _Event(NamedTuple):
@@ -55,18 +38,6 @@ class _Event(NamedTuple):
     rank: int
     """Order at one time: −1 for an end of a gyro sample, then the heads."""
     measurement: Measurement | None = None
-
-
-class _State(NamedTuple):
-    """The filter after an event; filters are never modified."""
-
-    t_s: float
-    mekf: AlignedMekf | None
-    update: Update | None = None
-    rejected: int = 0
-    """Number of successive measurements beyond the gate."""
-    accepted_s: float = -math.inf
-    """Time of the last measurement that was not."""
 
 
 class _Sample(NamedTuple):
@@ -98,8 +69,11 @@ class FusionFilter:
 
     Notes
     -----
-    An attitude beyond the gate is not used. After three in a row, of any heads, the filter is restarted from the last,
-    with the alignments that it knows. The first attitude starts it; there is no estimate before.
+    An attitude beyond the gate is not used. After three that agree with one another and with the gyro, the filter is
+    restarted if no other head contradicts them, with the alignments and the gyro's errors that it knows; otherwise the
+    head's mounting has changed, and its alignment is estimated again. A head that others outvoted does not restart the
+    filter. `status` says whether the heads and the gyro agree. The first attitude starts the filter; there is no
+    estimate before.
 
     Examples
     --------
@@ -125,16 +99,20 @@ class FusionFilter:
         false_rejection: float = 1e-6,
         memory_s: float = 60.0,
     ) -> None:
+        if not isinstance(heads, Sequence) or not all(isinstance(head, Head) for head in heads):
+            raise InputError("heads must be a list of Head")
         self.heads, self.noise = tuple(heads), noise
         self._names = {head.name: k for k, head in enumerate(heads)}
         if not heads or len(self._names) != len(heads):
             raise InputError("a filter of several heads needs at least one head, each with its own name")
-        if not memory_s > 0.0:
-            raise InputError(f"memory_s must be a positive time; got {memory_s}")
-        self.false_rejection, self.memory_s = false_rejection, memory_s
-        self._base = _State(-math.inf, None)
+        if not isinstance(noise, (GyroNoise, RateNoise)):
+            raise InputError(f"noise must be GyroNoise or RateNoise; got {type(noise).__name__}")
+        self.memory_s = real_number("memory_s", memory_s, least=ABOVE_0)
+        self.false_rejection = real_number("false_rejection", false_rejection, least=0.0, most=BELOW_1)
+        count = len(self.heads)
+        self._base = State(-math.inf, None, (HeadRecord(),) * count, (None,) * count)
         self._events: list[_Event] = []
-        self._states: list[_State] = []
+        self._states: list[State] = []
         self._samples: list[_Sample] = []
 
     def __repr__(self) -> str:
@@ -156,23 +134,24 @@ class FusionFilter:
         Raises
         ------
         InputError
-            For an interval that is not positive or overlaps another one, a rotation that is not three finite numbers,
-            or a filter without a gyro.
+            For an interval that is not positive or overlaps another one, a rotation that is not three finite numbers
+            or faster than 1000 rad/s, or a filter without a gyro. The filter is as before.
         """
-        turn = np.array(turn_rad, dtype=float)
         if not isinstance(self.noise, GyroNoise):
             raise InputError("this filter has no gyro: create it with GyroNoise, or omit the gyro's samples")
-        if not (math.isfinite(start_s) and math.isfinite(end_s) and end_s > start_s):
+        start_s, end_s = checked_time(start_s, "a gyro sample's time"), checked_time(end_s, "a gyro sample's time")
+        if not end_s > start_s:
             raise InputError(f"a gyro sample needs an interval of positive length; got {start_s} to {end_s} s")
-        if turn.shape != (3,) or not np.isfinite(turn).all():
-            raise InputError(f"a gyro sample must be three finite numbers in rad; got {turn_rad!r}")
+        turn = real_array("a gyro sample", turn_rad, (3,), unit="rad")
+        with np.errstate(over="ignore"):
+            rate = checked_rate(turn / (end_s - start_s), "a gyro sample, divided by its interval,")
         if end_s <= self._base.t_s:
             return
         at = bisect_left(self._samples, start_s, key=lambda s: s.start_s)
         before, after = self._samples[max(at - 1, 0) : at], self._samples[at : at + 1]
         if (before and before[0].end_s > start_s) or (after and after[0].start_s < end_s):
             raise InputError(f"gyro samples overlap at {start_s} s")
-        self._samples.insert(at, _Sample(start_s, end_s, turn / (end_s - start_s)))
+        self._samples.insert(at, _Sample(start_s, end_s, rate))
         del self._states[bisect_right(self._events, start_s, key=lambda e: e.t_s) :]
         for t_s in (start_s, end_s):
             self._insert(_Event(t_s, -1))
@@ -196,19 +175,16 @@ class FusionFilter:
         Raises
         ------
         InputError
-            For an unknown head, a second attitude of a head at one time, or a covariance that is not positive definite.
+            For an unknown head, a second attitude of a head at one time, an attitude between other frames, a covariance
+            that is not symmetric and positive definite, or a time that is not finite. The filter is as before.
         """
-        k = self._names.get(head, -1) if isinstance(head, str) else head
-        if not 0 <= k < len(self.heads):
-            raise InputError(f"unknown head {head!r}; known: {', '.join(self._names)}")
-        p = np.array(covariance, dtype=float)
-        if p.shape != (3, 3) or not (np.isfinite(p).all() and (np.linalg.eigvalsh(p) > 0).all()):
-            raise InputError("an attitude's covariance must be 3×3, finite and positive definite")
-        if not math.isfinite(t_s):
-            raise InputError(f"the time of an attitude must be finite; got {t_s}")
+        k = self._index(head)
+        t_s = checked_time(t_s, "the time of an attitude")
+        event = _Event(
+            t_s, k, Measurement(k, checked_attitude(attitude, "icrs", "camera"), checked_covariance(covariance))
+        )
         if t_s <= self._base.t_s:
             return Update("too_late")
-        event = _Event(t_s, k, Measurement(k, attitude, p))
         if not self._insert(event):
             raise InputError(f"head {self.heads[k].name} has two attitudes at {t_s} s")
         self._replay()
@@ -227,14 +203,40 @@ class FusionFilter:
         InputError
             For a time before the memory.
         """
+        state = self._state(t_s)
+        return state.mekf if state.mekf is None else self._propagated(state.mekf, state.t_s, t_s)
+
+    def status(self, t_s: float) -> FusionStatus:
+        """Whether the heads and the gyro agree at a time within the memory or later, from the data up to that time.
+
+        Raises
+        ------
+        InputError
+            For a time before the memory.
+        """
+        return status_of(self._state(t_s), tuple(self._names), t_s)
+
+    # ------------------------------------------------------------------ details
+    def _index(self, head: str | int) -> int:
+        """Index of a head."""
+        if isinstance(head, str):
+            k = self._names.get(head, -1)
+        else:
+            whole = isinstance(head, (int, np.integer)) and not isinstance(head, bool)
+            k = int(head) if whole else -1
+        if not 0 <= k < len(self.heads):
+            raise InputError(f"unknown head {head!r}; known: {', '.join(self._names)}")
+        return k
+
+    def _state(self, t_s: float) -> State:
+        """State after the last event up to a time."""
+        t_s = checked_time(t_s, "the time of an estimate")
         if not t_s >= self._base.t_s:
             raise InputError(f"{t_s} s is before the memory of the filter, which begins at {self._base.t_s} s")
         self._replay()
         at = bisect_right(self._events, t_s, key=lambda e: e.t_s)
-        state = self._states[at - 1] if at else self._base
-        return self._propagated(state, t_s)
+        return self._states[at - 1] if at else self._base
 
-    # ------------------------------------------------------------------ details
     def _find(self, event: _Event) -> int:
         return bisect_left(self._events, event[:2], key=lambda e: e[:2])
 
@@ -251,42 +253,34 @@ class FusionFilter:
         """Compute the states that are missing."""
         while len(self._states) < len(self._events):
             before = self._states[-1] if self._states else self._base
-            event = self._events[len(self._states)]
-            mekf = self._propagated(before, event.t_s)
-            if event.measurement is None:
-                state = before._replace(t_s=event.t_s, mekf=mekf, update=None)
-            else:
-                state = self._measured(before, event.t_s, mekf, event.measurement)
-            self._states.append(state)
+            self._states.append(self._after(before, self._events[len(self._states)]))
 
-    def _propagated(self, state: _State, t_s: float) -> AlignedMekf | None:
-        """The filter of a state at a later time, before the next event."""
-        if state.mekf is None or t_s <= state.t_s:
-            return state.mekf
-        middle_s = 0.5 * (state.t_s + t_s)
+    def _after(self, before: State, event: _Event) -> State:
+        """State after an event."""
+        t_s, measurement = event.t_s, event.measurement
+        if before.mekf is None:
+            return before._replace(t_s=t_s) if measurement is None else self._started(before, t_s, measurement)
+        now = before.propagated(t_s, lambda mekf: self._propagated(mekf, before.t_s, t_s))
+        return now if measurement is None else measured(now, measurement, self.false_rejection)
+
+    def _started(self, before: State, t_s: float, measurement: Measurement) -> State:
+        """State after the first attitude."""
+        mekf, head = AlignedMekf(self.heads, *measurement, self.noise), measurement.head
+        record = before.records[head]._replace(used=1, used_s=t_s)
+        records = (*before.records[:head], record, *before.records[head + 1 :])
+        return before._replace(t_s=t_s, mekf=mekf, records=records, update=Update("started"))
+
+    def _propagated(self, mekf: AlignedMekf, from_s: float, t_s: float) -> AlignedMekf:
+        """A filter at a later time, before the next event."""
+        if t_s <= from_s:
+            return mekf
+        middle_s = 0.5 * (from_s + t_s)
         at = bisect_right(self._samples, middle_s, key=lambda s: s.start_s)
         sample = self._samples[at - 1] if at else None
         measured = sample is not None and middle_s <= sample.end_s
-        mekf = state.mekf.copy()
-        mekf.predict(t_s - state.t_s, sample.rate_rad_s if sample is not None and measured else None)
-        return mekf
-
-    def _measured(self, before: _State, t_s: float, mekf: AlignedMekf | None, measured: Measurement) -> _State:
-        """State after a measurement, from the one before and its filter at the time of the measurement."""
-        if mekf is None:
-            started = AlignedMekf(self.heads, *measured, self.noise)
-            return _State(t_s, started, Update("started"), 0, t_s)
-        after = mekf.copy()
-        innovation = after.update_head(*measured, self.false_rejection)
-        if innovation.accepted:
-            return _State(t_s, after, Update("used", innovation), 0, t_s)
-        if before.rejected + 1 < _MOST_REJECTED:
-            return _State(t_s, mekf, Update("rejected", innovation), before.rejected + 1, before.accepted_s)
-        off_rad = mekf.head_attitude(measured.head).angle_to(measured.attitude)
-        noise = self.noise
-        usual = noise.bias_sigma_rad_s if isinstance(noise, GyroNoise) else noise.rate_sigma_rad_s
-        after.restart(*measured, max(usual, off_rad / max(t_s - before.accepted_s, _LEAST_STEP_S)))
-        return _State(t_s, after, Update("restarted", innovation), 0, t_s)
+        later = mekf.copy()
+        later.predict(t_s - from_s, sample.rate_rad_s if sample is not None and measured else None)
+        return later
 
     def _forget(self) -> None:
         """Discard events older than the memory."""

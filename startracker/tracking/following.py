@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.estimation import Estimator
+from startracker.estimation.wahba import wahba_svd
+from startracker.geometry.attitude import matrix_to_quat
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import to_pixels
 from startracker.identification.acceptance import log_chance, power_of_ten
@@ -27,6 +29,7 @@ _LEAST_WORTH = math.log(100.0)
 """Minimum evidence for a filter update with stars that are too few for an attitude."""
 _REJECT_SIGMAS = 3.7
 _FEWEST_TO_REJECT = 4
+_FEWEST_FOR_ATTITUDE = 3
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 
 
@@ -67,6 +70,15 @@ class Followed:
         matched = np.zeros(len(positions), np.bool_)
         matched[self.partner] = True
         return positions, matched
+
+    def star_attitude(self, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
+        """Attitude of the stars alone, without the prediction: quaternion (4,), ICRS to camera, and covariance (3, 3),
+        rad²; None for fewer than three stars."""
+        if len(self.stars) < _FEWEST_FOR_ATTITUDE:
+            return None
+        observed, reference = self.seen.vectors[self.stars], self.expected.directions[self.partner]
+        found = wahba_svd(observed, reference, self.seen.sigma_px[self.stars] * camera.pixel_rad)
+        return matrix_to_quat(found.matrix), found.covariance
 
     def solution(
         self,

@@ -11,6 +11,7 @@ Farrenkopf's (1978, J. Guidance and Control 1, 282).
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Self
@@ -25,63 +26,19 @@ from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, quat_multiply, quat_to_matrix
 from startracker.records import made
+from startracker.tracking.checked import checked_attitude, checked_covariance, checked_rate
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
+from startracker.tracking.noise import GyroNoise, RateNoise
 
 _LINEAR_RAD = 3e-4
 """Maximum correction, rad, with a linearisation error of 0.01″; larger ones are iterated."""
 _MOST_PASSES = 4
+__all__ = ["GyroNoise", "Innovation", "Mekf", "RateNoise", "chi_square_limit", "rotation_between"]
+
 _NO_TURN = np.zeros(3)
+_BIAS_SIGMAS = 6.0
 _LARGEST_SCALE = 0.5
 """Maximum error of a gyro's scale factor; at −1 it would measure nothing."""
-
-
-@dataclass(frozen=True)
-class GyroNoise:
-    """Errors of a gyro, equal for each axis: measured rate = (1 + scale factor error) rate + bias + white noise.
-
-    Parameters
-    ----------
-    angle_random_walk : float
-        White noise of the rate, rad/√s (1 °/√h is 2.9e-4 rad/√s).
-    rate_random_walk : float
-        Random walk of the bias, rad/s/√s.
-    bias_sigma_rad_s : float
-        Initial standard deviation of the bias.
-    acceleration : float
-        Disturbance of the rate without gyro samples, rad/s/√s.
-    scale_sigma : float
-        Standard deviation of the constant scale factor error, which is estimated: 0.01 is 1 %. A clock rate error has
-        the same effect. 0: the scale factors are not estimated.
-    """
-
-    angle_random_walk: float = 3e-5
-    rate_random_walk: float = 1e-7
-    bias_sigma_rad_s: float = 1e-3
-    acceleration: float = 1e-3
-    scale_sigma: float = 0.01
-
-    def __post_init__(self) -> None:
-        _check_positive(self)
-
-
-@dataclass(frozen=True)
-class RateNoise:
-    """Motion without a gyro: a constant rate, disturbed by white angular acceleration.
-
-    Parameters
-    ----------
-    acceleration : float
-        Disturbance, rad/s/√s: standard deviation of the rate one second after it was known. 1e-5 is suitable for a
-        freely drifting body, 1e-3 for a slew.
-    rate_sigma_rad_s : float
-        Initial standard deviation of the rate about each axis.
-    """
-
-    acceleration: float = 1e-4
-    rate_sigma_rad_s: float = math.radians(2.0)
-
-    def __post_init__(self) -> None:
-        _check_positive(self)
 
 
 @dataclass(frozen=True)
@@ -117,6 +74,9 @@ class Mekf:
         Initial rate of the camera in its own axes; zero if not known.
     """
 
+    _target = "camera"
+    """The frame whose attitude is estimated."""
+
     def __init__(
         self,
         attitude: Attitude,
@@ -128,6 +88,8 @@ class Mekf:
         self.has_gyro = isinstance(self.noise, GyroNoise)
         self.noise_factor = 1.0
         """Factor on the variances of the process noise."""
+        self._bias_variance = self.noise.bias_sigma_rad_s**2 if isinstance(self.noise, GyroNoise) else math.inf
+        """Variance that the stated noise allows the bias to have by now, rad²/s²."""
         self._bias = np.zeros(3)
         self._scale = np.zeros(3)
         self._rate = np.zeros(3)
@@ -151,11 +113,18 @@ class Mekf:
         ----------
         second_sigma_rad_s : float, optional
             Standard deviation of the rate or the bias, instead of that of the noise.
+
+        Raises
+        ------
+        InputError
+            For an attitude between other frames, a covariance that is not symmetric and positive definite, or a rate
+            that is not three finite numbers. The filter is as before.
         """
-        _of_icrs(attitude)
-        block = real_array("an attitude's covariance", covariance, finite=False)
-        if block.shape != (3, 3) or not (np.isfinite(block).all() and (np.linalg.eigvalsh(block) > 0).all()):
-            raise InputError("an attitude's covariance must be 3×3, finite and positive definite")
+        block = checked_covariance(covariance)
+        attitude = checked_attitude(attitude, "icrs", self._target)
+        rate = None if rate_rad_s is None else checked_rate(rate_rad_s, "rate_rad_s")
+        if second_sigma_rad_s is not None:
+            second_sigma_rad_s = real_number("second_sigma_rad_s", second_sigma_rad_s, least=0.0)
         self._quat, self._matrix_of = np.array(attitude.quat), np.empty(0)
         noise = self.noise
         usual = noise.bias_sigma_rad_s if isinstance(noise, GyroNoise) else noise.rate_sigma_rad_s
@@ -165,23 +134,26 @@ class Mekf:
         scale = noise.scale_sigma if isinstance(noise, GyroNoise) else 0.0
         variances = [0.0, sigma**2, scale**2] if scale > 0.0 else [0.0, sigma**2]
         self._covariance = np.diag(np.repeat(variances, 3))
-        self._covariance[:3, :3] = 0.5 * (block + block.T)
-        if rate_rad_s is not None:
-            self._rate = _three(rate_rad_s, "a rate")
+        self._covariance[:3, :3] = block
+        if rate is not None:
+            self._rate = rate
 
     def copy(self) -> Self:
         """An independent filter with the same state."""
-        twin = object.__new__(type(self))
-        twin.noise, twin.has_gyro = self.noise, self.has_gyro
-        twin._quat, twin._covariance = self._quat, self._covariance  # replaced by every step, never modified
-        twin._rate, twin._bias, twin._scale = self._rate, self._bias, self._scale
-        twin._matrix_of = np.empty(0)
-        twin.noise_factor = self.noise_factor
-        return twin
+        return copy(self)  # arrays are replaced by every step, never modified
 
     def distrust(self, factor: float) -> None:
         """Multiply the covariance of the state by `factor`, to reduce the weight of past measurements."""
         self._covariance = self._covariance * real_number("factor", factor, least=ABOVE_0)
+
+    def doubt(self, sigma_rad: float, sigma_rad_s: float) -> None:
+        """Increase the uncertainty of the attitude, and of the bias or the rate, by errors of these standard
+        deviations, and that of the scale factors by their stated one."""
+        added = np.zeros(len(self._covariance))
+        added[:3], added[3:6] = sigma_rad**2, sigma_rad_s**2
+        if isinstance(self.noise, GyroNoise):
+            added[6:9] = self.noise.scale_sigma**2
+        self._covariance = self._covariance + np.diag(added)
 
     # ------------------------------------------------------------------ state
     @property
@@ -228,6 +200,14 @@ class Mekf:
         return self._bias.copy()
 
     @property
+    def bias_excess(self) -> float:
+        """Estimated bias of the gyro, relative to the largest one that its stated noise explains (6 σ, of which one of
+        10⁸ is beyond). Above 1, stars and gyro contradict each other: the picture may be frozen while the body
+        rotates, or the gyro be wrong."""
+        allowed = self._bias_variance + self._covariance.diagonal()[3:6]
+        return float(np.max(np.abs(self._bias) / np.sqrt(allowed))) / _BIAS_SIGMAS if self.has_gyro else 0.0
+
+    @property
     def scale(self) -> FloatArray:
         """Errors of the gyro's scale factors (3,); zero if not estimated."""
         return self._scale.copy()
@@ -259,7 +239,8 @@ class Mekf:
             sign, angle, rate = -1.0, self.noise.angle_random_walk**2, self.noise.rate_random_walk**2
             extra = 0.0 if gyro_rad_s is not None else self.noise.acceleration**2
             if gyro_rad_s is not None:
-                self._rate = (_three(gyro_rad_s, "a gyro's rate") - self._bias) / (1.0 + self._scale)
+                self._rate = (checked_rate(gyro_rad_s, "a gyro's rate") - self._bias) / (1.0 + self._scale)
+            self._bias_variance += rate * dt
         else:
             sign, angle, rate, extra = 1.0, 0.0, self.noise.acceleration**2, 0.0
             if gyro_rad_s is not None:
@@ -283,11 +264,15 @@ class Mekf:
         false_rejection : float
             Probability of rejecting a correct measurement, which defines the gate on χ². 0: no gate.
         """
-        measured = attitude if isinstance(attitude, Attitude) else Attitude.from_matrix(attitude)
-        _of_icrs(measured)
-        vector, limit = rotation_between(self._quat, measured.quat), chi_square_limit(3, _probability(false_rejection))
-        noise = real_array("an attitude's covariance", covariance, (3, 3))
-        return self._take(correct(self._covariance, np.eye(3), vector, np.ascontiguousarray(noise)), limit, 3)
+        if not isinstance(attitude, Attitude):
+            attitude = Attitude.from_matrix(real_array("attitude", attitude, (3, 3)), target=self._target)
+        measured, limit = checked_attitude(attitude, "icrs", self._target), _probability(false_rejection)
+        return self.update_quat(measured.quat, checked_covariance(covariance), limit)
+
+    def update_quat(self, quat: FloatArray, covariance: FloatArray, false_rejection: float) -> Innovation:
+        """`update_attitude` with a quaternion (4,) and a contiguous covariance (3, 3) that need no check."""
+        outcome = correct(self._covariance, np.eye(3), rotation_between(self._quat, quat), covariance)
+        return self._take(outcome, chi_square_limit(3, false_rejection), 3)
 
     def update_vectors(
         self, observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike, false_rejection: float = 0.0
@@ -303,18 +288,16 @@ class Mekf:
         sigma_rad : array_like, shape (M,)
             Standard error of a direction on one axis.
         """
-        b = np.ascontiguousarray(np.atleast_2d(real_array("observed", observed, finite=False)))
+        b = np.ascontiguousarray(np.atleast_2d(real_array("observed", observed)))
         r = np.ascontiguousarray(np.atleast_2d(real_array("reference", reference)))
-        sigma = np.ascontiguousarray(real_array("sigma_rad", sigma_rad, finite=False))
-        _probability(false_rejection)
-        if sigma.shape != (len(b),):
-            if sigma.size != 1:
-                raise InputError(f"{len(b)} directions need as many standard errors, or one; got {sigma.shape}")
-            sigma = np.full(len(b), sigma)
         if b.shape != r.shape or b.shape[1:] != (3,):
             raise InputError(f"directions must both have the shape (M, 3); got {b.shape} and {r.shape}")
-        if not (len(b) and (sigma > 0).all() and np.isfinite(sigma).all() and np.isfinite(b).all()):
-            raise InputError("a filter needs at least one finite direction, each with a positive standard error")
+        given = real_array("sigma_rad", sigma_rad)
+        if given.shape != (len(b),) and given.size != 1:
+            raise InputError(f"{len(b)} directions need as many standard errors, or one; got {given.shape}")
+        sigma = np.ascontiguousarray(np.broadcast_to(given.reshape(-1), (len(b),)))
+        if not (len(b) and (sigma > 0.0).all()):
+            raise InputError("a filter needs at least one direction, each with a positive standard error")
         return self.update_stars(b, r, sigma, false_rejection)
 
     def update_stars(
@@ -369,24 +352,6 @@ def rotation_between(first: FloatArray, second: FloatArray) -> FloatArray:
 def chi_square_limit(freedom: int, probability: float) -> float:
     """Value that χ² exceeds with a probability; infinite for probability 0."""
     return math.inf if probability <= 0.0 else float(chdtri(freedom, probability))
-
-
-def _three(values: ArrayLike, what: str) -> FloatArray:
-    vector = real_array(f"{what}, three numbers in rad/s,", values, finite=False).copy()
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"{what} must be three finite numbers in rad/s; got {values!r}")
-    return vector
-
-
-def _check_positive(noise: object) -> None:
-    for name, value in vars(noise).items():
-        real_number(f"{type(noise).__name__}.{name}", value, least=0.0)
-
-
-def _of_icrs(attitude: Attitude) -> None:
-    """Refuse an attitude from another frame than ICRS; its target is the camera, or the body of several heads."""
-    if of_kind("attitude", attitude, Attitude).source != "icrs":
-        raise InputError(f"attitude must be from icrs; got {attitude.source} → {attitude.target}")
 
 
 def _probability(false_rejection: float) -> float:

@@ -7,12 +7,15 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray
+from startracker.estimation.wahba import attitude_covariance
+from startracker.geometry.camera import Camera
 
 _MEMORY = 200.0
 """Approximate number of residuals remembered (half as many stars), which determine the scale to 5 %."""
 _WEIGHT = 6.0
 """Minimum degrees of freedom without weight of the stated errors, which replace missing ones."""
 _LEAST, _MOST = 0.05, 22.0
+_FEW_STARS = 6
 
 
 class Scatter:
@@ -43,3 +46,12 @@ class Scatter:
         weighted = residual / stated[:, None]
         self._chi2 = fading * self._chi2 + float(np.vdot(weighted, weighted))
         self._freedom = fading * self._freedom + freedom
+
+
+def at_least_stated(covariance: FloatArray, camera: Camera, xy: FloatArray, stated_px: float) -> FloatArray:
+    """The covariance (3, 3) of an attitude from stars at pixels (N, 2), if they are few not below that of their stated
+    error: a few residuals may be small by chance."""
+    if len(xy) >= _FEW_STARS:
+        return covariance
+    stated = attitude_covariance(camera.unproject(xy), np.full(len(xy), stated_px * camera.pixel_rad))
+    return covariance * max(1.0, float(np.trace(stated) / np.trace(covariance)))

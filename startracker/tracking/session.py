@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from startracker.arguments import ABOVE_0, of_kind, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.display import described
-from startracker.estimation.wahba import attitude_covariance
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.given_image import GivenImage, given_image
@@ -31,16 +30,15 @@ from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
 from startracker.survey import plain as plain_array
 from startracker.tracker import STATED_PX, StarTracker
+from startracker.tracking.checked import checked_rate
 from startracker.tracking.following import Followed
 from startracker.tracking.frame_clock import FrameClock
 from startracker.tracking.looking import Expected, Seen, Sky, as_pixels, centroids_seen, look, streak_px, window_half
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
 from startracker.tracking.repeats import FrameMemory, list_key
-from startracker.tracking.scatter import Scatter
+from startracker.tracking.scatter import Scatter, at_least_stated
 from startracker.tracking.state import TrackingState
 from startracker.tracking.watched import WatchedFilter
-
-_FEW_STARS = 6
 
 
 class TrackingSession:
@@ -144,7 +142,7 @@ class TrackingSession:
             attitude = camera_attitude("attitude", attitude)
         sigma_deg = real_number("sigma_deg", sigma_deg, unit="deg", least=ABOVE_0)
         if rate_rad_s is not None:
-            rate_rad_s = real_array("rate_rad_s", rate_rad_s, (3,), unit="rad/s")
+            rate_rad_s = checked_rate(plain(rate_rad_s, "rad/s", "rate_rad_s"), "rate_rad_s")
         with self._lock:
             self._watched = self._new_filter()
             self._clock, self._scatter, self._memory = FrameClock(), Scatter(), FrameMemory()
@@ -330,7 +328,11 @@ class TrackingSession:
     def _tracked(self, followed: Followed, clock: Clock) -> Solution:
         """Solution of a frame that was followed."""
         seen, stars = followed.seen, followed.stars
+        alone = followed.star_attitude(self.tracker.camera) if self._watched.has_gyro else None
+        if fault := self._watched.contradiction(alone):
+            return self._refuse(Status.GYRO_MISMATCH, fault, seen.xy, clock)
         self._watched.take_followed(followed)
+        self._watched.seen(alone)
         self._watched.mark_solved(self._used(seen.xy[stars]))
         self._scatter.add(followed.residual_px, seen.stated_px[stars])
         self.state = made(
@@ -378,14 +380,15 @@ class TrackingSession:
         if prior is not None and found.attitude.angle_to(prior) <= math.radians(prior_deg) * math.sqrt(3.0):
             mode = "prior"
         covariance = self._watched.own_covariance(found.attitude, found.covariance)
+        alone = found.attitude.quat, covariance
+        if fault := self._watched.contradiction(alone):
+            return self._refuse(Status.GYRO_MISMATCH, fault, found.centroids, clock)
         if stated_px is not None:
             stars = found.stars.fitted
             self._scatter.begin(stars.residual_px, np.full(len(stars), stated_px))
-            if len(stars) < _FEW_STARS:  # a few residuals may be small by chance
-                sigma = np.full(len(stars), stated_px * self.tracker.camera.pixel_rad)
-                stated = attitude_covariance(self.tracker.camera.unproject(stars.xy), sigma)
-                covariance = covariance * max(1.0, float(np.trace(stated) / np.trace(covariance)))
+            covariance = at_least_stated(covariance, self.tracker.camera, stars.xy, stated_px)
         innovation, restarted = self._watched.take_attitude(self._used(found.stars.xy), found.attitude, covariance)
+        self._watched.seen(alone)
         self.state = TrackingState(
             mode,
             True,

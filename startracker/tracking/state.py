@@ -18,7 +18,7 @@ class TrackingState:
     ----------
     mode : str
         ``tracking``, ``prior`` (whole frame, near the prediction), ``lost_in_space``, or ``coasting`` if the frame was
-        not used (status ``stale`` or ``bad_time``).
+        not used (status ``stale``, ``bad_time`` or ``gyro_mismatch``).
     solved : bool
         Whether the update has an attitude.
     windows : int

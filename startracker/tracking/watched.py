@@ -16,11 +16,15 @@ from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import accepts
 from startracker.observer import unknown_aberration
 from startracker.settings import IdentificationSettings
+from startracker.tracking.checked import FASTEST_RAD_S
 from startracker.tracking.consistency import InnovationWindow
 from startracker.tracking.following import Followed, follow
 from startracker.tracking.looking import Expected, Seen
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
+from startracker.tracking.standstill import StandstillWatch
 
+StarAttitude = tuple[FloatArray, FloatArray]
+"""Attitude of the stars of one frame alone: quaternion (4,), and covariance (3, 3) in camera axes, rad²."""
 _LEAST_STEP_S = 1e-3
 _PRIOR_SIGMAS = 5.0
 _LEAST_PRIOR_DEG = 0.1
@@ -50,6 +54,7 @@ class WatchedFilter:
         self.without_observer = False
         """Whether the frame was solved with catalogue positions without aberration. The aberration is then common to
         all attitudes; it is not noise for the filter, and is added to its covariance."""
+        self._still = StandstillWatch(noise) if isinstance(noise, GyroNoise) else None
         self._window = InnovationWindow()
         self._solved: tuple[float, FloatArray] | None = None
 
@@ -61,6 +66,8 @@ class WatchedFilter:
         """Discard the filter."""
         self.mekf, self._solved = None, None
         self._window.forget()
+        if self._still is not None:
+            self._still.forget()
 
     def sample(self, gyro_rad_s: ArrayLike | None) -> tuple[FloatArray | None, str]:
         """Gyro sample (3,) for the filter, and a remark; None for a sample that is not finite.
@@ -77,16 +84,26 @@ class WatchedFilter:
         sample = real_array("a gyro's rate, three numbers in rad/s,", gyro_rad_s, finite=False)
         if sample.shape != (3,):
             raise InputError(f"a gyro's rate must be three numbers in rad/s; got {gyro_rad_s!r}")
-        finite = bool(np.isfinite(sample).all())
-        return (sample, "") if finite else (None, "the gyro sample is not finite and was ignored")
+        if not np.isfinite(sample).all():
+            return None, "the gyro sample is not finite and was ignored"
+        if float(np.abs(sample).max()) > FASTEST_RAD_S:
+            return None, f"the gyro sample is beyond {FASTEST_RAD_S:g} rad/s and was ignored"
+        return sample, ""
 
     def predict(self, dt: float, gyro_rad_s: FloatArray | None) -> None:
         """Propagate; the filter is discarded if the prediction has become useless."""
         if self.mekf is None:
             return
         self.mekf.predict(dt, gyro_rad_s)
+        if self._still is not None:
+            self._still.predict(dt, gyro_rad_s)
         if not self.uncertainty_rad < math.pi / 2.0:
             self.mekf = None
+
+    @property
+    def has_gyro(self) -> bool:
+        """Whether there is a gyro."""
+        return self._still is not None
 
     @property
     def uncertainty_rad(self) -> float:
@@ -140,6 +157,26 @@ class WatchedFilter:
         self._lose_confidence(self.mekf)
         return follow(self.mekf, camera, seen, expected, self.false_rejection, self.estimator)
 
+    def contradiction(self, stars: StarAttitude | None) -> str:
+        """Why the attitude of a frame's stars contradicts the gyro; empty if it does not.
+
+        The filter is then the one that the gyro alone propagated since the stars are static.
+        """
+        if self._still is None or stars is None:
+            return ""
+        reason = self._still.contradiction(*stars)
+        if reason and self._still.filter is not None:
+            self.mekf = self._still.filter.copy()
+        return reason
+
+    def seen(self, stars: StarAttitude | None) -> None:
+        """The attitude of the stars of a frame that was used."""
+        if self._still is not None and self.mekf is not None:
+            if stars is None:
+                self._still.forget()
+            else:
+                self._still.add(self.mekf, *stars)
+
     def take_followed(self, followed: Followed) -> None:
         """Continue with the filter of a followed frame."""
         self.mekf = followed.filter
@@ -149,12 +186,12 @@ class WatchedFilter:
         """Update with an attitude of the tracker; returns its innovation, and whether the filter was restarted."""
         innovation = None
         if self.mekf is not None:
-            after = self.mekf.copy()
-            innovation = after.update_attitude(attitude, covariance, self.false_rejection)
+            covariance, after = np.ascontiguousarray(covariance), self.mekf.copy()
+            innovation = after.update_quat(attitude.quat, covariance, self.false_rejection)
             if innovation.accepted and self._window.contradicts(innovation):
                 self._lose_confidence(self.mekf)
                 after = self.mekf.copy()
-                innovation = after.update_attitude(attitude, covariance, self.false_rejection)
+                innovation = after.update_quat(attitude.quat, covariance, self.false_rejection)
             self.mekf = after
         restarted = innovation is None or not innovation.accepted
         if restarted:

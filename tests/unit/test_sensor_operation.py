@@ -8,7 +8,7 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars
-from startracker.tracking.operation import SensorOperation, image_magnitudes, saturated_near
+from startracker.tracking.operation import SensorOperation, Verdict, image_magnitudes, saturated_near
 
 CAMERA = Camera.from_fov(fov_deg=10.0, width=128, height=96)
 FULL = 1000.0
@@ -212,3 +212,18 @@ def test_count_leaves_out_what_a_frame_does_not_tell():
     assert count.bad(3)[5, 5]
     assert not count.bad(4)[5, 5]  # told of in three frames only
     assert count.bad().sum() == 1
+
+
+@pytest.mark.parametrize("lacking", ["attitude", "image"])
+def test_frame_without_an_attitude_or_not_used_teaches_nothing(lacking):
+    """Without an attitude it is not known whether the stars have moved, and a frame that the rules refuse is not used:
+    the same frames would show two defects."""
+    operation = rules(blemish_frames=4, blemish_shift_px=6.0)
+    for k in range(5):
+        image = frame((20.0 + 10 * k, 40.0, 300.0), seed=k)
+        image[70, 90] += 200.0
+        verdict = operation.judge(image, float(k), FULL)
+        if lacking == "image":
+            verdict = Verdict("sun", "saturated", None)
+        operation.learn(image, verdict, None if lacking == "attitude" else turned(0.8 * k), MatchedStars.none())
+    assert not operation.blemishes.any()

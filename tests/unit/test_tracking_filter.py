@@ -10,6 +10,7 @@ from startracker.errors import InputError
 from startracker.estimation import wahba_svd
 from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, Mekf, RateNoise
+from startracker.tracking.kinematics import correct
 from startracker.tracking.mekf import chi_square_limit
 
 START = Attitude.from_radec_roll(10.0, -30.0, 200.0)
@@ -50,9 +51,10 @@ def test_update_is_the_linear_filters(noise):
 def test_a_measurement_without_a_positive_covariance_changes_nothing():
     twin = running(RateNoise(1e-5, 1e-4))
     before, p = twin.attitude, twin.covariance
-    found = twin.update_attitude(turned(before, np.full(3, 1e-5)), np.diag([1e-9, 1e-9, -1.0]))
-    assert not found.accepted
-    assert math.isnan(found.distance2)
+    indefinite = np.diag([1e-9, 1e-9, -1.0])
+    with pytest.raises(InputError, match="positive definite"):
+        twin.update_attitude(turned(before, np.full(3, 1e-5)), indefinite)
+    assert math.isnan(correct(p, np.eye(3), np.full(3, 1e-5), indefinite)[0])
     assert np.array_equal(twin.attitude.quat, before.quat)
     assert np.array_equal(twin.covariance, p)
 

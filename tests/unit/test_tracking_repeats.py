@@ -8,7 +8,7 @@ import pytest
 from startracker.errors import InputError
 from startracker.tracking.consistency import InnovationWindow
 from startracker.tracking.frame_clock import FrameClock
-from startracker.tracking.mekf import Innovation
+from startracker.tracking.mekf import Innovation, chi_square_limit
 from startracker.tracking.repeats import FrameMemory, list_key
 
 
@@ -143,3 +143,14 @@ def test_clock():
     for wrong in (None, "noon", [1, 2], np.datetime64("2020-01-01"), 10**400):
         with pytest.raises(InputError, match="number of seconds"):
             clock.read(wrong)
+
+
+@pytest.mark.parametrize(("ratio", "found"), [(1.03, True), (0.97, False)])
+def test_limit_of_the_mean_innovation_is_that_of_chi_square(ratio, found):
+    """Constant innovations v: |Σv|²/N = N v² is χ² of three, with 16.27 for a probability of 1e-3."""
+    frames = 32
+    vector = [math.sqrt(ratio * chi_square_limit(3, 1e-3) / frames), 0.0, 0.0]
+    window = InnovationWindow()
+    for _ in range(frames - 1):
+        window.add(innovation(vector))
+    assert window.contradicts(innovation(vector)) == found

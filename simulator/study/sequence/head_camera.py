@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,7 +86,8 @@ class HeadCamera:
         self.tracker = build_tracker(self.scenario, self.renderer.camera)
         x, y, z = (value * ARCSEC_RAD for value in head.correlated_arcsec)
         sigma_rad = head.alignment_sigma_arcsec * ARCSEC_RAD
-        self.filter_head = Head(head.name, known, sigma_rad, (x, y, z), head.correlation_s)
+        bending_rad = self._bending_arcsec() * ARCSEC_RAD
+        self.filter_head = Head(head.name, known, sigma_rad, (x, y, z), head.correlation_s, bending_rad, head.bending_s)
         """What the filter knows of it."""
         self.same_catalog = scenario.sky.catalog == self.scenario.tracker.catalog
         self.specification = specification_of(self.scenario)
@@ -97,6 +99,13 @@ class HeadCamera:
             drawn = stream(seed, "misalignment").standard_normal(3)
             return np.asarray(self.head.alignment_sigma_arcsec * ARCSEC_RAD * drawn)
         return np.array(given) * ARCSEC_RAD
+
+    def _bending_arcsec(self) -> float:
+        """Standard deviation of the motion of the mounting, as the filter assumes it; by default the rms of a sine."""
+        given = self.head.bending_arcsec
+        if given is not None:
+            return given
+        return max(map(abs, self.scenario.pointing.thermo_elastic.amplitude_arcsec)) / math.sqrt(2.0)
 
     def sees(self, since_s: float) -> bool:
         """Whether there is a frame at a time after the first of the sequence."""

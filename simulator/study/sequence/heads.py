@@ -31,6 +31,8 @@ from startracker.solution import Solution, Status
 
 WAITING = "waiting"
 """Status of a row whose frames are solved but have not yet reached the filter, which has no attitude."""
+_UNTRUSTED = ("heads_disagree", "gyro_disagrees")
+"""States of the filter in which its attitude may be wrong by more than it states; the row has them as its status."""
 _SETTINGS = TrackingSettings()
 _PRIOR_SIGMAS = 5.0
 _LEAST_MEMORY_S = 60.0
@@ -150,7 +152,11 @@ class HeadsRunner:
         known = math.isfinite(row["qw"])
         if solved and known:
             modes = [columns["mode"] for columns in solved]
-            row |= {"mode": "prior" if "prior" in modes else modes[0], "status": str(Status.SOLVED), "reason": ""}
+            row["mode"] = "prior" if "prior" in modes else modes[0]
+            if row["agreement"] in _UNTRUSTED:
+                row |= {"status": row["agreement"], "reason": row["agreement_reason"]}
+            else:
+                row |= {"status": str(Status.SOLVED), "reason": row["agreement_reason"]}
         else:
             said = taken[0].columns
             row["mode"] = "coasting" if known else "none"
@@ -270,6 +276,9 @@ class _Flight:
         row |= self._gyro_errors(state.since_s, mekf)
         for head, camera in enumerate(runner.cameras):
             row |= _alignment_columns(camera, head, mekf)
+        status = self.fusion.status(state.since_s)
+        row |= {"agreement": status.state, "agreement_reason": status.reason}
+        row |= {f"head_{name}_agreement": head.state for name, head in status.heads.items()}
         row |= {"restarted": self._restarted, "distrusted": False, "windows": 0, "stars_expected": 0}
         self._restarted = False
         return row

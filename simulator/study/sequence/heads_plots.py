@@ -93,6 +93,13 @@ def _errors_drawer(columns: Columns, names: list[str], axis: str) -> Callable[[A
     return draw
 
 
+def _agreement(rows: dict[str, int]) -> str:
+    """The share of the rows in which a head is consistent, and the other states with theirs."""
+    total = max(sum(rows.values()), 1)
+    others = [f"{state} {100.0 * n / total:.1f} %" for state, n in rows.items() if state != "consistent"]
+    return ", ".join([f"{100.0 * rows.get('consistent', 0) / total:.1f} %", *others])
+
+
 def heads_table(heads: dict[str, Any]) -> Table:
     """Each head alone, what its attitudes did, and the error of its alignment, from ``heads`` of ``sequence.json``."""
     rows = []
@@ -113,7 +120,8 @@ def heads_table(heads: dict[str, Any]) -> Table:
                 str(head["wrong"]),
                 *(deg_text(head["errors_deg"][axis]["rms"]) for axis in BODY_AXES),
                 str(did["started"] + did["used"]),
-                str(did["rejected"] + did["restarted"] + did["too_late"]),
+                str(did["rejected"] + did["realigned"] + did["restarted"] + did["too_late"]),
+                _agreement(head["agreement"]),
                 f"{', '.join(off)}″" if off else "exact",
             )
         )
@@ -126,10 +134,11 @@ def heads_table(heads: dict[str, Any]) -> Table:
         *(f"rms {axis}" for axis in BODY_AXES),
         "used",
         "not used",
+        "agrees with the others",
         "alignment, error ± σ",
     )
     note = (
         "Errors of single frames from their own stars. Used: attitudes that updated the filter; not used: beyond its "
-        "gate or too late."
+        "gate or too late. Agrees: the share of the rows in which the head is as stated, and otherwise what it is."
     )
     return Table(headings, tuple(rows), note=note)

@@ -113,7 +113,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-OUTCOMES = ("started", "used", "rejected", "restarted", "too_late")
+OUTCOMES = ("started", "used", "rejected", "realigned", "restarted", "too_late")
 """What an attitude did to the filter."""
 
 
@@ -153,6 +153,7 @@ def _summary(columns: Columns, prefix: str, step_s: float) -> dict[str, Any]:
     solved = np.asarray(status == "solved", dtype=bool)
     statuses, counts = np.unique(np.asarray(status[~solved], dtype=str), return_counts=True)
     update = columns[f"{prefix}update"]
+    agreement = np.asarray(columns[f"{prefix}agreement"], dtype=str)
     summary: dict[str, Any] = {
         "solved": int(solved.sum()),
         "availability": float(solved.mean()),
@@ -161,6 +162,7 @@ def _summary(columns: Columns, prefix: str, step_s: float) -> dict[str, Any]:
         **outcome_counts(columns, prefix),
         "stars_misidentified": int(np.sum(columns[f"{prefix}stars_misidentified"])),
         "stars_matched_mean": float(np.mean(columns[f"{prefix}stars_matched"][solved])) if solved.any() else None,
+        "agreement": {str(s): int(c) for s, c in zip(*np.unique(agreement, return_counts=True), strict=True)},
         "filter": {outcome: int(np.sum(update == outcome)) for outcome in OUTCOMES},
         "errors_deg": {
             axis: axis_statistics(np.asarray(columns[f"{prefix}error_{axis}_deg"], dtype=float)[solved])
