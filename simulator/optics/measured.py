@@ -36,9 +36,9 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     geometric one, averaged over the pixel, is part of its distortion and alignment. The pixel-integrated image at
     `_PHASES`² sub-pixel positions is fitted with a pixel-integrated elliptical Gaussian, and again with the median
     ellipse, as the stars of a frame are. The position is the mean of these fits. The window is that about the
-    position: it begins at the peak, which of a defocused image lies anywhere on a ring, and follows the fits. Weights are 1/(1 + q p/m) with the
-    model p, its maximum m and q = `CONTRAST`. Positions of much brighter and fainter stars differ: for coma by up to a
-    third of the distance to the geometric centroid.
+    position: it begins at the peak, which of a defocused image lies anywhere on a ring, and follows the fits. Weights
+    are 1/(1 + q p/m) with the model p, its maximum m and q = `CONTRAST`. Positions of much brighter and fainter stars
+    differ: for coma by up to a third of the distance to the geometric centroid.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
         x, y = fits[:, :2].mean(axis=0)
         last = column, row, half
         column, row = round(float(x) * _PHASES) + count, round(float(y) * _PHASES) + count
-        half = _half_width(*fits[0, 2:], half_px)
+        half = _half_width(float(fits[0, 2]), float(fits[0, 3]), float(fits[0, 4]), half_px)
         if (column, row, half) == last:
             break
     return float(x), float(y)

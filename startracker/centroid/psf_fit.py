@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
+from startracker.centroid.asymmetry import correct_asymmetry, measure_difference, reference_psf
 from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import PsfModel, load_psf
 from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids, misfit_of_brightest
-from startracker.centroid.skewness import correct_skewness
+from startracker.centroid.skewness import skewness_covariance
 from startracker.centroid.window import MEASURED, Peaks, Pixels
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
@@ -35,6 +37,8 @@ MISFIT_SIGMA = 4.0
 _SURELY_HOT = 10.0
 """Times as likely as a star that a hot pixel must be."""
 _ASTRAY_PX = 1.5
+_SURELY_ASYMMETRIC = 0.5
+"""Probability of an asymmetric star image from which it is fitted with the ellipse of the reference's weights."""
 
 
 def weighted_moment(
@@ -146,6 +150,35 @@ def _fit(
         return Centroids.none()
     moments, sigmas = measure_moments(frame, spots)
     psf, starts = _start(frame, spots, moments, sigmas)
+    fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
+    common = None
+    if frame.settings.psf is None:
+        unfit, half, pixels = spots.saturated | spots.edge, int(starts.half.min()), frame.pixels
+        common = skewness_covariance(pixels, fits.table, unfit, half, psf.shape)
+        found = measure_difference(pixels, psf, fits.table, unfit, half)
+        if found.asymmetric > _SURELY_ASYMMETRIC:
+            other = reference_psf(pixels, psf, fits.table, unfit, half, found.dark)
+            if other is not None:
+                psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
+                fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
+                found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()))
+        common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
+    stars = collect(fits.table, _widths(psf), spots, frame.half, fits.group, SYSTEMATIC_PX)
+    return changed(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)
+
+
+class _Fits(NamedTuple):
+    """Measurements (N, 6) of stars by fits of one star image, the groups (N,) fitted together, and the misfit."""
+
+    table: FloatArray
+    group: IntArray
+    misfit: float | None
+
+
+def _fit_image(
+    frame: Prepared, spots: Spots, moments: FloatArray, psf: PsfModel, starts: Starts, reweigh: bool
+) -> _Fits:
+    """Fits of one star image to all stars of a frame."""
     group = group_stars(starts.x, starts.y, starts.half + math.ceil(_WIDTHS * psf.sigma_px))
     fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
     excess = (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
@@ -153,12 +186,7 @@ def _fit(
     blends = misfit is None or misfit < MISFIT_SIGMA
     hot = (1 + spots.rejected.get("hot pixel", 0)) / (1 + len(spots)) / _SURELY_HOT
     table = _accepted(fits, moments, group, blends, psf.shape[0] + psf.shape[1], 2.0 * math.log(hot))
-    common = None
-    if frame.settings.psf is None:
-        half = int(starts.half.min())
-        common = correct_skewness(frame.pixels, table, spots.saturated | spots.edge, half, psf.shape)
-    found = collect(table, _widths(psf), spots, frame.half, group, SYSTEMATIC_PX)
-    return changed(found, common_px2=common if common is not None and common.any() else None, misfit=misfit)
+    return _Fits(table, group, misfit)
 
 
 @kernel
@@ -206,10 +234,17 @@ def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[flo
         psf = frame_psf(frame, spots, starts, sigmas, min(wide, _LARGEST_HALF_PX + 2.0))
     else:
         psf = load_psf(frame.settings.psf)
-    # the pixel at the corner of a window whose star has moved by one pixel must lie in the table
-    reach = min(_LARGEST_HALF_PX, math.floor(psf.radius_px - 1.0))
-    half = min(max(frame.half, math.ceil(_WIDTHS * psf.sigma_px)), reach)
-    return psf, starts._replace(half=np.minimum(half + starts.half, reach))
+    return psf, starts._replace(half=np.minimum(_half_of(frame, psf) + starts.half, _reach_of(psf)))
+
+
+def _reach_of(psf: PsfModel) -> int:
+    """Largest half width of a window: the pixel at its corner must lie in the table if the star moves by one pixel."""
+    return min(_LARGEST_HALF_PX, math.floor(psf.radius_px - 1.0))
+
+
+def _half_of(frame: Prepared, psf: PsfModel) -> int:
+    """Half width of the windows of stars that are not saturated."""
+    return min(max(frame.half, math.ceil(_WIDTHS * psf.sigma_px)), _reach_of(psf))
 
 
 def _start_values(pixels: Pixels, peaks: Peaks, moments: FloatArray) -> Starts:

@@ -14,8 +14,8 @@ one.
 
 A jittered star's true position is the mean of its image. With coma it is what the camera was calibrated with, centroids
 of stars of good signal (`REFERENCE_CONTRAST`), whose shift A₀ κ is part of its distortion. One frame cannot say which
-it is. The shift against such stars, (A − A₀) κ, is an error in both cases and is subtracted; A₀ κ is in the covariance
-of an error that all positions share.
+it is. The shift against such stars, (A − A₀) κ, is an error in both cases and is subtracted as it is measured
+(`startracker.centroid.asymmetry`); A₀ κ is in the covariance of an error that all positions share.
 """
 
 from __future__ import annotations
@@ -193,24 +193,21 @@ def _equations_of_star(
     return True
 
 
-def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: int, shape: Shape) -> FloatArray:
-    """Take the shift against stars of `REFERENCE_CONTRAST` off the positions of fits; the rest as a covariance.
+def skewness_covariance(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: int, shape: Shape) -> FloatArray:
+    """Covariance (2, 2) of the shift A₀ κ that all positions share, px²; zero where the images are not skew.
 
     κ is left out where it may be noise, and shrunk by 1 − (7.8/χ²)² where it is not, which is steady at the limit.
 
     Parameters
     ----------
     table : (N, 6)
-        Fits; their positions are corrected in place.
+        Fits.
     unfit : bool (N,)
         Stars that are saturated or at the border.
     half : int
         Half width of the fits' windows.
-
-    Returns
-    -------
-    (2, 2) array
-        Covariance of an error that all positions share, px²; zero where the images are not skew.
+    shape : (float, float, float)
+        Of the fitted image.
     """
     xx, yy, xy = shape
     common = np.zeros((2, 2))
@@ -219,15 +216,15 @@ def correct_skewness(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: 
         return common
     x, y, flux = np.ascontiguousarray(table[:, :3].T)  # as columns the kernel would be compiled once more
     stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT)
-    _correct(pixels, table, stars, unfit, half, shape, common)
+    _fill_covariance(pixels, table, stars, half, shape, common)
     return common
 
 
 @kernel
-def _correct(
-    pixels: Pixels, table: FloatArray, stars: IntArray, unfit: BoolArray, half: int, shape: Shape, common: FloatArray
+def _fill_covariance(
+    pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape, common: FloatArray
 ) -> None:
-    """Corrects the table of `correct_skewness` by the skewness of some of its stars, and adds to the covariance."""
+    """Adds the covariance of `skewness_covariance` by the skewness of some stars."""
     mean, covariance, chi2, dark = common_skewness(pixels, table, stars, half, shape)
     if not chi2 > _LEAST_CHI2:
         return
@@ -235,15 +232,7 @@ def _correct(
     kept, inverse_gain = 1.0 - (_LEAST_CHI2 / chi2) ** 2, pixels.inverse_gain
     peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     at_reference = REFERENCE_CONTRAST * dark / (inverse_gain * peak) if inverse_gain > 0.0 else 0.0
-    expansions = expansions_of(half, shape)
-    reference = shifts(expansions, dark, at_reference, inverse_gain, 0.0)
-    for n in range(len(table)):
-        if not (math.isfinite(table[n, 0] + table[n, 2]) and table[n, 2] > 0.0) or unfit[n]:
-            continue
-        here = shifts(expansions, dark, table[n, 2], inverse_gain, pixels.flat_error)
-        for axis in range(2):
-            for k in range(_CUMULANTS):
-                table[n, axis] -= kept * (here[axis, k] - reference[axis, k]) * mean[k]
+    reference = shifts(expansions_of(half, shape), dark, at_reference, inverse_gain, 0.0)
     for a in range(2):
         for b in range(2):
             for k in range(_CUMULANTS):

@@ -242,7 +242,7 @@ def _without_blur(motion: FloatArray, fits: FloatArray, middle: FloatArray) -> F
     expected = np.hypot(*motion_at(fits[:, [X, Y]] - middle, motion).T)
     longer_by = median(expected - 2.0 * fits[:, HALF])
     blur = min(max(longer_by, 0.0), _BLUR_SIGMAS * median(fits[:, SIGMA].copy()))
-    return motion * (1.0 - blur / median(expected))
+    return np.asarray(motion * (1.0 - blur / median(expected)))
 
 
 def _weighted_motion(

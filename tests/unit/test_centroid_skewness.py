@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from startracker.centroid import maximum_likelihood
-from startracker.centroid.skewness import common_skewness, expansions_of, shifts
+from startracker.centroid.skewness import common_skewness, expansions_of, shifts, skewness_covariance
 from startracker.centroid.window import Pixels
 from startracker.detection import Background, Spots
 from startracker.settings import CentroidSettings
@@ -127,7 +127,13 @@ def test_symmetric_images_are_left_alone():
     assert measure(image, xy, flux)[0].common_px2 is None
 
 
-def test_images_narrower_than_the_pixels_resolve_are_left_alone():
+def test_third_moments_of_images_narrower_than_the_pixels_resolve_are_not_used():
+    """Such an image has no shift A₀ κ; how far faint stars are displaced is measured all the same."""
     xy, flux = stars()
-    image = frame([(share, 0.5 * off) for share, off in PARTS], xy, flux, sigma=0.4)
-    assert measure(image, xy, flux)[0].common_px2 is None
+    image = frame([(share, 0.5 * off) for share, off in PARTS], xy, flux, sigma=0.4).astype(np.float32)
+    background = Background(np.zeros_like(image), np.full_like(image, NOISE))
+    pixels = Pixels(image, background.level_plane, background.noise_plane, 1.0 / GAIN, 0.0)
+    table = np.column_stack([xy, flux, np.full((len(xy), 3), 1e-3)])
+    assert not skewness_covariance(pixels, table, np.zeros(len(xy), bool), 2, (0.16, 0.16, 0.0)).any()
+    found, _ = measure(image, xy, flux)
+    assert found.common_px2 is None or np.trace(found.common_px2) < 0.001**2
