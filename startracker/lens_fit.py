@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -185,21 +186,27 @@ def significant(full: JointFit) -> tuple[str, ...]:
     """
     scale2, price = max(full.chi2 / full.freedom, 1e-12), math.log(2.0 * full.stars)
     distance = np.array([value_of(n, full.camera) - prior_of(n, full.camera)[0] for n in full.names])
-    radial = [n for n in full.names if n[0] == "k"]
     groups = [g for g in _TOGETHER if set(g) <= set(full.names)]
     best, chosen = math.inf, full.names
+    for kept in subsets(full.names, groups):
+        index = [k for k, n in enumerate(full.names) if n not in kept]
+        rise = 0.0
+        if index:
+            d = distance[index]
+            rise = float(d @ np.linalg.solve(full.covariance[np.ix_(index, index)], d)) / scale2
+        cost = rise - price * len(index)
+        if cost < best:
+            best, chosen = cost, kept
+    return chosen
+
+
+def subsets(names: tuple[str, ...], groups: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
+    """Combinations of parameters: the members of a group together, radial terms up to some power, all others always."""
+    radial = [n for n in names if n[0] == "k"]
     for order in range(len(radial) + 1):
         for kept in itertools.product((False, True), repeat=len(groups)):
             out = set(radial[order:]) | {n for g, keep in zip(groups, kept, strict=True) if not keep for n in g}
-            index = [k for k, n in enumerate(full.names) if n in out]
-            rise = 0.0
-            if index:
-                d = distance[index]
-                rise = float(d @ np.linalg.solve(full.covariance[np.ix_(index, index)], d)) / scale2
-            cost = rise - price * len(index)
-            if cost < best:
-                best, chosen = cost, tuple(n for n in full.names if n not in out)
-    return chosen
+            yield tuple(n for n in names if n not in out)
 
 
 @dataclass(frozen=True, eq=False)

@@ -261,7 +261,8 @@ def test_session_finds_the_focal_length_and_leaves_its_tracker_as_it_was(tracker
             continue
         assert lens_filter.frames == 25
         assert abs(lens_filter.change[0] - 3e-4) < 4.0 * lens_filter.sigma[0] < 1e-4
-        assert session.tracker.camera == lens_filter.camera != tracker.camera
+        assert session.tracker.camera == session.calibration.camera != tracker.camera
+        assert session.tracker.camera.fx == pytest.approx(lens_filter.camera.fx, rel=1e-5)
         assert solution.camera is not None
         np.testing.assert_allclose(session.covariance[:3, :3], solution.covariance)
         larger = solution.covariance - other.covariance[:3, :3]
