@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lens_sequences import lens
+from lens_sequences import lens, waves
 from scipy.stats import multivariate_normal
 
 from simulator import Scenario
@@ -35,18 +35,6 @@ PARTS = {
 @pytest.fixture(scope="module")
 def tracker():
     return StarTracker(GROUND, magnitude_limit=6.0)
-
-
-def waves(seed, rms_px):
-    """A smooth displacement of the image with an rms value on each axis: half a wave to a whole one over its width."""
-    phase, places = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 4), np.linspace(-1.0, 1.0, 41)
-
-    def shape(u, v):
-        x = np.sin(np.pi * u + phase[0]) * np.cos(2.0 * v + phase[1])
-        return np.stack([x, np.sin(np.pi * v + phase[2]) * np.cos(2.0 * u + phase[3])], axis=1)
-
-    size = rms_px / np.sqrt(np.mean(shape(*(grid.ravel() for grid in np.meshgrid(places, places))) ** 2))
-    return lambda xy: size * shape(*((xy - 511.5) / 512.0).T)
 
 
 def flown(tracker, seed, true=GROUND, displacement=None, part="everywhere"):
