@@ -10,8 +10,8 @@ the probability that the parameters R are unchanged and the others S changed is
 
 with the prior odds ρ (ratio of posterior to prior density at p_R = 0; Dickey 1971, Ann. Math. Stat. 42, 204), and the
 estimate is then p̂_S − C_SR C_RR⁻¹ p̂_R. The change that is applied is the mean over all S. It has the smallest expected
-squared error of the attitude, tr(G E[(p − p_applied)(p − p_applied)ᵀ] Gᵀ), whatever the derivative G of the attitude. It
-is nearly zero until a change is three to four times its standard deviation, and the estimate itself from there on.
+squared error of the attitude, tr(G E[(p − p_applied)(p − p_applied)ᵀ] Gᵀ), whatever the derivative G of the attitude.
+It is nearly zero until a change is three to four times its standard deviation, and the estimate itself from there on.
 """
 
 from __future__ import annotations

@@ -67,8 +67,8 @@ class InFlightCalibration:
         )
         """Map of defective pixels."""
         self.attitude_covariance: FloatArray = np.zeros((3, 3))
-        """Second moment (3, 3) of the error of an attitude by the lens, camera axes, rad²: uncertainty of the parameters,
-        changes that are not applied, and residual distortion. Zero before the first frame."""
+        """Second moment (3, 3) of the error of an attitude by the lens, camera axes, rad²: uncertainty of the
+        parameters, changes that are not applied, and residual distortion. Zero before the first frame."""
         self.last: LensUpdate | None = None
         """Result of the last frame for the lens; None before the first."""
         self._fixed_width = psf_width_px is not None

@@ -19,8 +19,8 @@ _RATE_SIGMA_RAD_S = 0.2
 
 @dataclass(frozen=True, eq=False)
 class LensEquations:
-    """Equations of the stars of a frame (M) for the parameters of the lens, followed by the coefficients of the residual
-    field (P together), with their stated errors."""
+    """Equations of the stars of a frame (M) for the parameters of the lens, followed by the coefficients of the
+    residual field (P together), with their stated errors."""
 
     matrix: FloatArray
     """Attitude (3, 3) fitted to the stars with the current lens."""

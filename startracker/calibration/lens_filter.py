@@ -305,8 +305,8 @@ class LensFilter:
         root = np.asarray(np.linalg.cholesky(self.filtered), dtype=np.float64)
         inner = np.linalg.inv(np.eye(size) + root.T @ information.matrix[:size, :size] @ root)
         filtered = root @ inner @ root.T
-        without = self.change - self.field.by_field @ self.field.mean + filtered @ self.field.without(information)[:size]
         field = copy.copy(self.field)
+        without = self.change - field.by_field @ field.mean + filtered @ field.without(information)[:size]
         field.update(information, filtered)
         moved = self._changed(self.ground, without + field.by_field @ field.mean)
         if not is_one_to_one(moved):

@@ -39,9 +39,10 @@ _FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05
 _MOST_MAG = 3.0
 _FEWEST = 8
 _MOST_FIELD_PX = 4.0
-"""Largest rms value of a smooth distortion that the lens model does not describe, px: stars farther off are not matched."""
+"""Largest rms value of a smooth distortion that the lens model does not describe, px; stars farther off are not
+matched."""
 _EVIDENT_FIELD = 0.25
-"""Ratio of that distortion to the residuals from which the user is told."""
+"""Ratio of that distortion to the residuals from which a note states it."""
 _ROUNDS = 4
 _VAGUE = 4.0
 """Maximum ratio of a centroid's stated error to the median of the image; centroids above it are blends or not stars."""

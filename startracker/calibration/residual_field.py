@@ -1,19 +1,19 @@
 """The distortion that the parameters of the lens do not describe: a smooth displacement of the image.
 
-The displacement is Σ_k c_k φ_k(x, y), with products of Legendre polynomials φ_k up to the sixth degree for both axes.
-Constant terms and a rotation are part of the attitude, and a change of scale is the focal length; they are left out. The
-coefficients are constant in time, independent, and have the same standard deviation, for which the displacement has the
-rms value a on each axis.
+The displacement is Σ_k c_k φ_k(x, y), with products of Legendre polynomials φ_k up to the fourth degree on each axis.
+Constant terms and a rotation are part of the attitude, and a change of scale is the focal length; they are left out.
+The coefficients are constant in time, independent, and have the same standard deviation, for which the displacement has
+the rms value a on each axis.
 
 The filter of the lens is computed for c = 0, and its dependence on c is followed exactly (bias-separated filter;
-Friedland 1969, IEEE Trans. Automatic Control 14, 359): with the Jacobians H of the lens p and F of the coefficients c of
-a frame, the attitude marginalised, the gain P⁺ of the frame and T = ∂p̂/∂c, the innovation r has the derivative
+Friedland 1969, IEEE Trans. Automatic Control 14, 359): with the Jacobians H of the lens p and F of the coefficients c
+of a frame, the attitude marginalised, the gain P⁺ of the frame and T = ∂p̂/∂c, the innovation r has the derivative
 U = F + H T, and
 
     T ← T − P⁺ Hᵀ W U,    Λ ← Λ + Uᵀ S⁻¹ U,    η ← η + Uᵀ S⁻¹ r,    S⁻¹ = W − W H P⁺ Hᵀ W
 
 are the derivative after the frame and the information on c of all frames. For a given a the estimate of c is
-(Λ + D⁻¹)⁻¹ η with the prior variances D, the lens is p̂ + T ĉ, and its covariance P + T C Tᵀ. The rms value a is unknown;
+(Λ + D⁻¹)⁻¹ η with the prior variances D, the lens is p̂ + T ĉ, and its covariance P + T C Tᵀ. The value of a is unknown;
 its likelihood follows from the same Λ and η,
 
     ln L(a) = −½ ln |1 + D Λ| + ½ ηᵀ (Λ + D⁻¹)⁻¹ η,
@@ -34,7 +34,8 @@ from startracker.arrays import FloatArray
 from startracker.geometry.camera import Camera
 
 _DEGREE = 4
-"""Highest degree of the displacement: on each axis terms with three periods over the image are represented."""
+"""Highest degree of the displacement. Of a sine with one period over the image 3 to 9 % remain; what remains of shorter
+periods differs from star to star, and is noise for the lens."""
 _OCTAVES = 11
 """Number of values of a, each half of the one before, from the largest one."""
 

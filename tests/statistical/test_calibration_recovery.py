@@ -127,10 +127,10 @@ def test_attitudes_have_the_errors_stated():
 
 
 def test_a_smooth_distortion_is_part_of_the_stated_errors():
-    """0.3 px that no lens model describes, in three images each: its effect on the parameters is common to all stars and
-    images. Before, the errors of the attitudes were up to 25σ. The attitudes of one calibration share their error: sum
-    of the NEES of one of them over four distortions within the 99.9 % limit of χ² of 12, and the focal length
-    within 4σ."""
+    """0.3 px that no lens model describes, in three images each: its effect on the parameters is common to all stars
+    and images. Before, the errors of the attitudes were up to 25σ. The attitudes of one calibration share their error:
+    the sum of the NEES of one of them over four distortions is within the 99.9 % limit of χ² of 12, and the focal
+    length within 4σ."""
     truth, total = Camera.from_fov(20.0, 1024, 1024, Distortion(k1=-0.1)), 0.0
     for seed in range(4):
         rng, displacement, fields, matrices = np.random.default_rng(seed), waves(seed, 0.3), [], []

@@ -11,8 +11,8 @@ from simulator.cli import _run
 from startracker import Attitude, Camera, InputError
 from startracker.calibration import StarField, calibrate
 from startracker.calibration.camera_file import camera_yaml, rounded, summary
-from startracker.calibration.plot import residual_figure, residual_picture
 from startracker.calibration.consensus import focal_lengths
+from startracker.calibration.plot import residual_figure, residual_picture
 from startracker.calibration.procedure import _notes
 from startracker.catalog import load_catalog
 from startracker.geometry.attitude import rotation_vector_to_matrix
@@ -167,7 +167,7 @@ def test_altitudes_of_a_stretched_field_are_given(calibration):
 def test_the_focal_length_of_an_image_needs_four_stars(made):
     """Three stars are six observations for an attitude and a focal length, but no independent residual of each axis is
     left: a standard error from two degrees of freedom is no reason to exclude an image."""
-    truth, fields = made
+    truth, _ = made
     rng = np.random.default_rng(2)
     xy = rng.uniform([100.0, 100.0], [900.0, 700.0], (4, 2))
     directions = truth.unproject(xy)
