@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -143,11 +144,19 @@ def fit_jointly(
 
 def rescaled(fit: JointFit, matches: list[Matches], *, with_refraction: bool) -> FloatArray:
     """Covariance with the stars' errors multiplied by √(χ²/ν), and unchanged priors."""
+    normal, _ = rescaled_equations(fit, matches, None, with_refraction=with_refraction)
+    return np.asarray(np.linalg.inv(normal))
+
+
+def rescaled_equations(
+    fit: JointFit, matches: list[Matches], fields: Sequence[FloatArray] | None, *, with_refraction: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and right-hand side at the result of a fit, with the errors of `rescaled`; with further unknowns,
+    whose displacements (M, 2, C) of the stars of each image are `fields`, after all others."""
     inflation = np.sqrt(fit.chi2 / fit.freedom)
     wider = [replace(m, sigma_px=m.sigma_px * inflation) for m in matches]
     state = _State(fit.camera, fit.matrices, fit.stretches)
-    normal, _ = _normal_equations(state, wider, fit.names, with_refraction)
-    return np.asarray(np.linalg.inv(normal))
+    return _normal_equations(state, wider, fit.names, with_refraction, fields)
 
 
 def noise_floor(residuals: FloatArray, variance_px2: FloatArray, fitted: int = 0) -> float:
@@ -185,21 +194,27 @@ def significant(full: JointFit) -> tuple[str, ...]:
     """
     scale2, price = max(full.chi2 / full.freedom, 1e-12), math.log(2.0 * full.stars)
     distance = np.array([value_of(n, full.camera) - prior_of(n, full.camera)[0] for n in full.names])
-    radial = [n for n in full.names if n[0] == "k"]
     groups = [g for g in _TOGETHER if set(g) <= set(full.names)]
     best, chosen = math.inf, full.names
+    for kept in subsets(full.names, groups):
+        index = [k for k, n in enumerate(full.names) if n not in kept]
+        rise = 0.0
+        if index:
+            d = distance[index]
+            rise = float(d @ np.linalg.solve(full.covariance[np.ix_(index, index)], d)) / scale2
+        cost = rise - price * len(index)
+        if cost < best:
+            best, chosen = cost, kept
+    return chosen
+
+
+def subsets(names: tuple[str, ...], groups: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
+    """Combinations of parameters: the members of a group together, radial terms up to some power, all others always."""
+    radial = [n for n in names if n[0] == "k"]
     for order in range(len(radial) + 1):
         for kept in itertools.product((False, True), repeat=len(groups)):
             out = set(radial[order:]) | {n for g, keep in zip(groups, kept, strict=True) if not keep for n in g}
-            index = [k for k, n in enumerate(full.names) if n in out]
-            rise = 0.0
-            if index:
-                d = distance[index]
-                rise = float(d @ np.linalg.solve(full.covariance[np.ix_(index, index)], d)) / scale2
-            cost = rise - price * len(index)
-            if cost < best:
-                best, chosen = cost, tuple(n for n in full.names if n not in out)
-    return chosen
+            yield tuple(n for n in names if n not in out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,11 +251,12 @@ def image_equations(
     amounts: FloatArray | None = None,
     *,
     with_refraction: bool = False,
+    field: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Normal matrix and right-hand side of one Gauss–Newton step over the stars of an image, without priors.
 
-    Unknowns: the parameters `names` of the camera, the rotation vector and, with refraction, its `amounts` (2,), see
-    `stretch`.
+    Unknowns: the parameters `names` of the camera, the rotation vector, with refraction its `amounts` (2,), see
+    `stretch`, and the coefficients of the displacements `field` (M, 2, C), pixels, if given.
     """
     vectors = stars.directions @ matrix.T
     if amounts is not None:
@@ -253,23 +269,32 @@ def image_equations(
         zero = np.zeros_like(x)
         by_amount = np.stack([np.stack([x, -y, zero], axis=1), np.stack([y, x, zero], axis=1)], axis=2)
         columns.append(by_vector @ by_amount)
+    if field is not None:
+        columns.append(field)
     weight = np.repeat(1.0 / stars.sigma_px, 2)
     jacobian = np.concatenate(columns, axis=2).reshape(len(weight), -1) * weight[:, None]
     return jacobian.T @ jacobian, jacobian.T @ ((stars.xy - pixels).ravel() * weight)
 
 
 def _normal_equations(
-    state: _State, matches: list[Matches], names: tuple[str, ...], with_refraction: bool
+    state: _State,
+    matches: list[Matches],
+    names: tuple[str, ...],
+    with_refraction: bool,
+    fields: Sequence[FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     lens, images = len(names), len(matches)
-    size = lens + (5 if with_refraction else 3) * images
+    last = lens + (5 if with_refraction else 3) * images
+    size = last + (fields[0].shape[2] if fields else 0)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     for i, m in enumerate(matches):
         at = [np.arange(lens), lens + 3 * i + np.arange(3)]
         if with_refraction:
             at.append(lens + 3 * images + 2 * i + np.arange(2))
+        at.append(np.arange(last, size))
         where, given = np.concatenate(at), (state.camera, state.matrices[i], m, names, state.stretches[i])
-        of_image, right = image_equations(*given, with_refraction=with_refraction)
+        field = fields[i] if fields else None
+        of_image, right = image_equations(*given, with_refraction=with_refraction, field=field)
         normal[np.ix_(where, where)] += of_image
         gradient[where] += right
     for name, sigma in _held(names, state):
@@ -277,7 +302,7 @@ def _normal_equations(
         normal[k, k] += 1.0 / sigma**2
         gradient[k] -= (value_of(name, state.camera) - prior_of(name, state.camera)[0]) / sigma**2
     if with_refraction:
-        tail = np.arange(lens + 3 * images, size)
+        tail = np.arange(lens + 3 * images, last)
         normal[tail, tail] += 1.0 / REFRACTION_SIGMA**2
         gradient[tail] -= state.stretches.ravel() / REFRACTION_SIGMA**2
     return normal, gradient

@@ -278,6 +278,9 @@ class InFlightSettings:
     """Drift of the displacement by each coefficient at the corner in one hour, pixels."""
     psf_width_drift_px_sqrt_h: float = 0.01
     """Drift of the width of star images in one hour, pixels."""
+    field_px: float = 1.0
+    """Largest rms value, on each axis, of a smooth distortion that the parameters do not describe, pixels. Its actual
+    value is estimated (`startracker.calibration.residual_field`). 0: the parameters describe the lens exactly."""
     star_error_px: float = 0.005
     """Standard deviation on one axis of the error of a star that stays the same from frame to frame (unresolved
     neighbours, colour, catalogue), pixels. Stars whose mean residual is significantly larger are not used."""
@@ -315,6 +318,7 @@ class InFlightSettings:
             self,
             **dict.fromkeys(positive, POSITIVE),
             **dict.fromkeys(drifts, FROM_0),
+            field_px=FROM_0,
             star_error_px=FROM_0,
             shift_px=FROM_0,
             false_rejection=(ABOVE_0, BELOW_1),

@@ -264,9 +264,8 @@ LIMITS: dict[type, dict[str, Any]] = {
     InFlightSettings: {
         **dict.fromkeys(("focal_length_ppm", "principal_point_px", "distortion_px", "psf_width_px"), Positive),
         **dict.fromkeys(("focal_length_drift_ppm_sqrt_h", "principal_point_drift_px_sqrt_h"), NonNegative),
-        **dict.fromkeys(
-            ("distortion_drift_px_sqrt_h", "psf_width_drift_px_sqrt_h", "star_error_px", "shift_px"), NonNegative
-        ),
+        **dict.fromkeys(("distortion_drift_px_sqrt_h", "psf_width_drift_px_sqrt_h"), NonNegative),
+        **dict.fromkeys(("field_px", "star_error_px", "shift_px"), NonNegative),
         "false_rejection": Annotated[FiniteFloat, Field(gt=0, lt=1)],
         "defect_frames": Annotated[int, Field(ge=0)],
         "defect_share": Annotated[FiniteFloat, Field(gt=0, le=1)],

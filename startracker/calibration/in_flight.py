@@ -69,8 +69,8 @@ class InFlightCalibration:
         )
         """Map of defective pixels."""
         self.attitude_covariance: FloatArray = np.zeros((3, 3))
-        """Covariance (3, 3) of an attitude by the uncertainty of the lens, camera axes, rad²; zero before the first
-        frame."""
+        """Second moment (3, 3) of the error of an attitude by the lens, camera axes, rad²: uncertainty of the
+        parameters, changes that are not applied, and residual distortion. Zero before the first frame."""
         self.last: LensUpdate | None = None
         """Result of the last frame for the lens; None before the first."""
         self._fixed_width = psf_width_px is not None
@@ -82,8 +82,8 @@ class InFlightCalibration:
 
     @property
     def camera(self) -> Camera:
-        """The current camera."""
-        return self.lens.camera
+        """The camera to use: that of the ground with the changes that the stars have shown beyond doubt."""
+        return self.lens.camera_in_use
 
     def masked(self, image: Any) -> Any:
         """The image with NaN at the defective pixels; the image itself while there are none, or if its shape is
@@ -124,9 +124,10 @@ class InFlightCalibration:
         if given is not None:
             self._learn_image(np.asarray(given.image), attitude, stars, given)
         if self._used_at is not None and self._shift_px(self._used_at, attitude) < self.settings.shift_px:
-            self.last = LensUpdate(False, "the stars have not moved", np.zeros(len(stars), np.bool_))
-            return self.last
-        self.last = found = self.lens.update(attitude.as_matrix(), stars)
+            found = self.lens.unused(attitude.as_matrix(), stars, "the stars have not moved")
+        else:
+            found = self.lens.update(attitude.as_matrix(), stars)
+        self.last = found
         if found.attitude_covariance is not None:
             self.attitude_covariance = found.attitude_covariance
         if found.accepted:

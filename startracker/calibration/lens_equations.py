@@ -19,7 +19,8 @@ _RATE_SIGMA_RAD_S = 0.2
 
 @dataclass(frozen=True, eq=False)
 class LensEquations:
-    """Equations of the stars of a frame (M) for the parameters of the lens (P), with their stated errors."""
+    """Equations of the stars of a frame (M) for the parameters of the lens, followed by the coefficients of the
+    residual field (P together), with their stated errors."""
 
     matrix: FloatArray
     """Attitude (3, 3) fitted to the stars with the current lens."""
@@ -42,16 +43,21 @@ class LensEquations:
         """Covariance (P, P) of b by the part `share` (M,) of the variances of the stars."""
         return np.asarray(np.einsum("mip,m,miq->pq", self.weighted, share, self.weighted))
 
-    def scaled(self, root: FloatArray, factor: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Eigenvalues (P,) of Lᵀ I L for the root L of the covariance, Lᵀ b along the eigenvectors, and these (P, P);
-        for errors multiplied by `factor`. The covariance is then L V (1 + Λ)⁻¹ Vᵀ Lᵀ."""
-        values, axes = np.linalg.eigh(root.T @ self.information @ root / factor**2)
-        vector: FloatArray = axes.T @ (root.T @ self.vector) / factor**2
-        return np.maximum(values, 0.0), vector, axes
 
+def lens_equations(
+    camera: Camera, matrix: FloatArray, stars: Matches, names: tuple[str, ...], field: FloatArray | None = None
+) -> LensEquations:
+    """Equations of a frame about its own attitude, which is fitted by Gauss–Newton from `matrix` (3, 3).
 
-def lens_equations(camera: Camera, matrix: FloatArray, stars: Matches, names: tuple[str, ...]) -> LensEquations:
-    """Equations of a frame about its own attitude, which is fitted by Gauss–Newton from `matrix` (3, 3)."""
+    Parameters
+    ----------
+    camera, matrix, stars
+        Current lens, approximate attitude, and the stars of the frame (M).
+    names : tuple of str
+        Parameters, of `startracker.lens.PARAMETERS`.
+    field : array, shape (M, 2, C), optional
+        Displacements by further unknowns, pixels (`startracker.calibration.residual_field`).
+    """
     weight = 1.0 / stars.sigma_px[:, None]
     for _ in range(_ATTITUDE_STEPS):
         at, vectors = matrix, stars.directions @ matrix.T
@@ -67,7 +73,9 @@ def lens_equations(camera: Camera, matrix: FloatArray, stars: Matches, names: tu
         turn = np.linalg.solve(normal, columns.T @ observed)
         matrix = rotation_vector_to_matrix(turn[:3]) @ matrix
     slopes = np.stack([moves[name] for name in names], axis=2)
-    by_lens = (slopes * weight[:, :, None]).reshape(-1, len(names))
+    if field is not None:
+        slopes = np.concatenate([slopes, field], axis=2)
+    by_lens = (slopes * weight[:, :, None]).reshape(-1, slopes.shape[2])
     share = np.linalg.solve(normal, columns.T @ by_lens)
     beside = by_lens - columns @ share
     left = observed - columns @ turn

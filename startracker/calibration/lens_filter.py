@@ -14,11 +14,14 @@ A shift of the principal point is, to first order, a rotation of the camera: onl
 tangent x of the angle from the axis. Its error is therefore about x⁻² times that of an attitude from the same stars.
 
 Stars whose errors are constant have a smaller weight, and their effect on the estimate is part of its covariance
-(`startracker.calibration.star_memory`).
+(`startracker.calibration.star_memory`). A smooth distortion that the parameters do not describe would be taken for a
+change of the lens: a displacement of x² and xy is that of the principal point. It is estimated with the lens, and its
+uncertainty is part of the covariance (`startracker.calibration.residual_field`).
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -27,8 +30,10 @@ from scipy.special import chdtri
 
 from startracker.arguments import of_kind, real_array, real_number
 from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.calibration.applied import applied_change
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_equations import LensEquations, lens_equations
+from startracker.calibration.residual_field import FrameInformation, ResidualField, field_columns
 from startracker.calibration.star_memory import StarMemory
 from startracker.display import described, fields_repr
 from startracker.errors import InputError
@@ -67,7 +72,8 @@ class LensUpdate:
     noise_factor: float = 1.0
     """Factor by which the stated errors of the stars were multiplied."""
     attitude_covariance: FloatArray | None = None
-    """Covariance (3, 3) of the frame's attitude by the uncertainty of the lens before the frame, camera axes, rad²."""
+    """Second moment (3, 3) of the error of the frame's attitude by the errors of the camera in use before the frame
+    (`LensFilter.applied`), camera axes, rad²."""
 
     __repr__ = fields_repr
 
@@ -142,11 +148,18 @@ class LensFilter:
                 f"{', '.join(missing) or 'to estimate'}; it has {', '.join(PARAMETERS[kind])}"
             )
         self.ground, self.camera, self.names = camera, camera, names
+        """Camera of the ground, estimated camera, and names of the parameters."""
         self.initial_sigma, self.drift = initial_sigmas(self.settings, camera), drifts(self.settings, camera)
         self.filtered: FloatArray = np.diag(self.initial_sigma**2)
-        """Covariance (P, P) that determines the gain of the filter."""
+        """Covariance (P, P) that determines the gain of the filter, for a known residual field."""
         self.random: FloatArray = self.filtered.copy()
-        """Covariance (P, P) of the estimate without the constant errors of stars."""
+        """Covariance (P, P) of the estimate without the constant errors of stars and the residual field."""
+        self.prior_variance: FloatArray = self.initial_sigma**2
+        """Variance (P,) of the change of each parameter since the ground without any star."""
+        self.field = ResidualField(len(names), self.settings.field_px)
+        """Smooth distortion that the parameters do not describe."""
+        self.applied: FloatArray = np.zeros(len(names))
+        """Change (P,) of the parameters that is applied to the camera in use (`startracker.calibration.applied`)."""
         self.stars = StarMemory(len(names), self.settings.star_error_px * camera.pixel_rad)
         """Stars seen so far, and the effect of their constant errors."""
         self.frames, self.restarts = 0, 0
@@ -166,8 +179,21 @@ class LensFilter:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance (P, P) of the parameters, with the constant errors of stars."""
-        return self.random + self.stars.covariance
+        """Covariance (P, P) of the parameters, with the constant errors of stars and the residual field."""
+        return self._joint[: len(self.names), : len(self.names)]
+
+    @property
+    def _joint(self) -> FloatArray:
+        """Covariance (P + C, P + C) of the parameters and of the coefficients of the residual field."""
+        return self.field.joint(self.random + self.stars.covariance)
+
+    @property
+    def camera_in_use(self) -> Camera:
+        """The camera with the applied change."""
+        return self._changed(self.ground, self.applied) if self.applied.any() else self.ground
+
+    def _changed(self, camera: Camera, change: FloatArray) -> Camera:
+        return change_lens(camera, dict(zip(self.names, change.tolist(), strict=True)))
 
     @property
     def sigma(self) -> FloatArray:
@@ -204,6 +230,7 @@ class LensFilter:
         """Add variances (P,) to the parameters."""
         self.filtered = self.filtered + np.diag(variances)
         self.random = self.random + np.diag(variances)
+        self.prior_variance = self.prior_variance + variances
 
     def update(self, matrix: FloatArray, stars: IdentifiedStars) -> LensUpdate:
         """Update with the stars of a frame.
@@ -219,39 +246,81 @@ class LensFilter:
         of_kind("stars", stars, IdentifiedStars, "IdentifiedStars.of(solution, tracker)")
         if len(stars) < _FEWEST_STARS:
             return LensUpdate(False, f"fewer than {_FEWEST_STARS} stars", np.zeros(len(stars), np.bool_))
-        rows = self.stars.rows(stars.catalog_id)
-        used, frame = self._fitting(matrix, stars, self.stars.trusted(rows), self._effective_px(stars, rows))
+        rows, columns = self.stars.rows(stars.catalog_id), self._field_columns(stars.xy)
+        stars = replace(stars, xy=stars.xy - columns @ self.field.mean)
+        used, frame = self._fitting(matrix, stars, columns, rows)
         if frame is None:
             return LensUpdate(False, "the residuals of too many stars do not fit", used)
         chosen = stars.select(used)
         chi2, freedom = self._misfit(chosen, frame)
         most = self.noise_factor**2 * float(chdtri(freedom, _MISFIT))
         factor = math.sqrt(chi2 / freedom) / self.noise_factor if chi2 > most else 1.0
-        root: FloatArray = np.asarray(np.linalg.cholesky(self.filtered), dtype=np.float64)
-        information, vector, axes = frame.scaled(root, factor)
-        usable = information > 1e-12
-        distance2 = float(np.sum(vector[usable] ** 2 / (information + information**2)[usable]))
-        part = frame.attitude_by_lens @ self.covariance @ frame.attitude_by_lens.T
-        found = LensUpdate(True, "", used, distance2, int(usable.sum()), factor * self.noise_factor, part)
-        step = root @ axes @ (vector / (1.0 + information))
-        moved = change_lens(self.camera, dict(zip(self.names, step.tolist(), strict=True)))
-        limit = float(chdtri(max(found.freedom, 1), self.settings.false_rejection))
-        if distance2 > limit or not is_one_to_one(moved):
+        information = FrameInformation(frame.information / factor**2, frame.vector / factor**2)
+        distance2, dimensions = self._distance2(information)
+        part = frame.attitude_by_lens @ self._error_moment @ frame.attitude_by_lens.T
+        found = LensUpdate(True, "", used, distance2, dimensions, factor * self.noise_factor, part)
+        limit = float(chdtri(max(dimensions, 1), self.settings.false_rejection))
+        if distance2 > limit:
+            return self._refused(found)
+        share = (found.noise_factor * chosen.sigma_px / (factor * self._effective_px(chosen, rows[used]))) ** 2
+        if not self._take(information, frame, factor**2 * frame.noise_information(share), rows[used]):
             return self._refused(found)
         self._beyond, self.frames = 0, self.frames + 1
-        share = (found.noise_factor * chosen.sigma_px / (factor * self._effective_px(chosen, rows[used]))) ** 2
-        self._remember(rows, stars, frame)
-        self.camera = moved
-        spread = root @ axes / np.sqrt(1.0 + information)
-        self.filtered = spread @ spread.T
-        gain = self.filtered / factor**2
-        update = np.eye(len(self.names)) - gain @ frame.information
-        noise = factor**2 * gain @ frame.noise_information(share) @ gain
-        self.random = update @ self.random @ update.T + noise
-        self.stars.follow(update, rows[used], gain @ frame.by_star)
+        self._remember(rows, stars, frame, columns)
         fading = math.exp(-freedom / _MEMORY)
         self._chi2, self._freedom = fading * self._chi2 + min(chi2, most), fading * self._freedom + freedom
+        self.applied = applied_change(self.names, self.change, self.covariance, self.prior_variance)
         return found
+
+    def unused(self, matrix: FloatArray, stars: IdentifiedStars, reason: str) -> LensUpdate:
+        """Result of a frame that is not used, with the error of its attitude by the camera in use; as for `update`."""
+        none, moment = np.zeros(len(stars), np.bool_), None
+        if len(stars) >= _FEWEST_STARS:
+            frame = lens_equations(self.camera, matrix, stars, self.names, self._field_columns(stars.xy))
+            moment = frame.attitude_by_lens @ self._error_moment @ frame.attitude_by_lens.T
+        return LensUpdate(False, reason, none, attitude_covariance=moment)
+
+    def _field_columns(self, xy: FloatArray) -> FloatArray:
+        """`field_columns` (M, 2, C) of positions; C = 0 without a residual field."""
+        return field_columns(self.ground, xy) if self.field.terms else np.zeros((len(xy), 2, 0))
+
+    @property
+    def _error_moment(self) -> FloatArray:
+        """Second moment (P + C, P + C) of the errors of the camera in use: covariance, and square of what is estimated
+        but not applied."""
+        missing = np.concatenate([self.change - self.applied, self.field.mean])
+        return self._joint + np.outer(missing, missing)
+
+    def _distance2(self, frame: FrameInformation) -> tuple[float, int]:
+        """Squared distance of a frame's estimate of the lens from the predicted one, and its degrees of freedom."""
+        size, joint = len(self.names), self.field.joint(self.filtered)
+        variance = frame.matrix[:size, :size] + frame.matrix[:size] @ joint @ frame.matrix[:, :size]
+        root = np.asarray(np.linalg.cholesky(joint[:size, :size]), dtype=np.float64)
+        axes, values, _ = np.linalg.svd(root.T @ variance @ root)  # symmetric, not negative: its eigenvalues
+        vector, usable = axes.T @ (root.T @ frame.vector[:size]), values > 1e-12
+        return float(np.sum(vector[usable] ** 2 / values[usable])), int(usable.sum())
+
+    def _take(self, information: FrameInformation, frame: LensEquations, noise: FloatArray, rows: IntArray) -> bool:
+        """Update the estimates with a frame, if the updated lens can be inverted; whether it can.
+
+        The covariance of the noise of `frame.vector` is `noise` (P + C, P + C) for the stars in `rows`.
+        """
+        size = len(self.names)
+        root = np.asarray(np.linalg.cholesky(self.filtered), dtype=np.float64)
+        inner = np.linalg.inv(np.eye(size) + root.T @ information.matrix[:size, :size] @ root)
+        filtered = root @ inner @ root.T
+        field = copy.copy(self.field)
+        without = self.change - field.by_field @ field.mean + filtered @ field.without(information)[:size]
+        field.update(information, filtered)
+        moved = self._changed(self.ground, without + field.by_field @ field.mean)
+        if not is_one_to_one(moved):
+            return False
+        gain = filtered / (frame.information[0, 0] / information.matrix[0, 0])
+        update = np.eye(size) - filtered @ information.matrix[:size, :size]
+        self.camera, self.filtered, self.field = moved, filtered, field
+        self.random = update @ self.random @ update.T + gain @ noise[:size, :size] @ gain
+        self.stars.follow(update, rows, gain @ frame.by_star[:, :size])
+        return True
 
     def _effective_px(self, stars: IdentifiedStars, rows: IntArray) -> FloatArray:
         """Standard errors (M,) that weigh the stars: the constant error of a star that was seen n times has the weight
@@ -261,17 +330,21 @@ class LensFilter:
 
     def _misfit(self, stars: IdentifiedStars, frame: LensEquations) -> tuple[float, int]:
         """χ² of the residuals of a frame with the stated errors, and its degrees of freedom."""
-        variance = stars.sigma_px**2 + self.settings.star_error_px**2 + self._lens_px2(frame.by_lens)
-        return float(np.sum(np.sum(frame.residual**2, axis=1) / variance)), 2 * len(stars) - 3
+        sigma = np.repeat(np.sqrt(stars.sigma_px**2 + self.settings.star_error_px**2), 2)
+        by_lens, residual = frame.by_lens.reshape(len(sigma), -1) / sigma[:, None], frame.residual.ravel() / sigma
+        # errors of the lens are common to the stars: rᵀ (1 + H P Hᵀ)⁻¹ r = rᵀ r − bᵀ P (1 + I P)⁻¹ b
+        information, vector, joint = by_lens.T @ by_lens, by_lens.T @ residual, self._joint
+        explained = joint @ np.linalg.solve(np.eye(len(joint)) + information @ joint, vector)
+        return float(residual @ residual - vector @ explained), 2 * len(stars) - 3
 
     def _lens_px2(self, by_lens: FloatArray) -> FloatArray:
         """Variance (M,) on one axis of predicted positions by the uncertainty of the lens."""
-        return np.asarray(np.einsum("mip,pq,miq->m", by_lens, self.covariance, by_lens) / 2.0)
+        return np.asarray(np.einsum("mip,mip->m", by_lens @ self._joint, by_lens) / 2.0)
 
-    def _remember(self, rows: IntArray, stars: IdentifiedStars, frame: LensEquations) -> None:
+    def _remember(self, rows: IntArray, stars: IdentifiedStars, frame: LensEquations, columns: FloatArray) -> None:
         """Residuals of all stars of a frame, also of those that were not used."""
         seen, pixel = self.camera.unproject(stars.xy), self.camera.pixel_rad
-        every = lens_equations(self.camera, frame.matrix, stars, self.names).by_lens
+        every = lens_equations(self.camera, frame.matrix, stars, self.names, columns).by_lens
         lens_px = np.sqrt(self._lens_px2(every))
         residual = seen @ frame.matrix - stars.directions
         self.stars.add_residuals(rows, residual, self.noise_factor * stars.sigma_px * pixel, lens_px * pixel)
@@ -281,20 +354,23 @@ class LensFilter:
         self._beyond += 1
         reason = f"distance² {found.distance2:.1f} of {found.freedom} degrees of freedom is beyond the gate"
         if self._beyond >= _RESET_AFTER:
+            of_field = self.field.by_field @ self.field.covariance @ self.field.by_field.T
+            self.filtered, self.random = self.filtered + of_field, self.random + of_field
+            self.field.forget()
             self._widen(self.initial_sigma**2)
             self._beyond, self.restarts = 0, self.restarts + 1
             reason += f"; the lens was made uncertain after {_RESET_AFTER} such frames"
         return replace(found, accepted=False, reason=reason)
 
     def _fitting(
-        self, matrix: FloatArray, stars: IdentifiedStars, trusted: BoolArray, effective_px: FloatArray
+        self, matrix: FloatArray, stars: IdentifiedStars, columns: FloatArray, rows: IntArray
     ) -> tuple[BoolArray, LensEquations | None]:
         """Stars whose residuals fit, and the equations of these."""
-        used = trusted.copy()
+        used, effective_px = self.stars.trusted(rows), self._effective_px(stars, rows)
         while used.sum() >= max(_FEWEST_STARS, len(used) // 2):
             chosen = stars.select(used)
             weighed = replace(chosen, sigma_px=effective_px[used])
-            frame = lens_equations(self.camera, matrix, weighed, self.names)
+            frame = lens_equations(self.camera, matrix, weighed, self.names, columns[used])
             expected = (self.noise_factor * chosen.sigma_px) ** 2 + self.settings.star_error_px**2
             sigma = np.sqrt(expected + self._lens_px2(frame.by_lens))
             length = np.hypot(*frame.residual.T) / sigma

@@ -5,7 +5,9 @@
 radial and tangential terms are selected by the Bayesian information criterion (Schwarz 1978) over all combinations: a
 term must reduce χ² by more than ln(number of observations) per coefficient.
 3. All catalogue stars are projected and matched again within 3.7 robust standard errors, until convergence.
-4. Images with a focal length different from that of the majority are excluded (`startracker.calibration.consensus`),
+4. A smooth distortion that the lens model does not describe displaces the parameters. Its size is estimated from the
+residuals, and its effect is part of the covariance (`startracker.calibration.residual_field`).
+5. Images with a focal length different from that of the majority are excluded (`startracker.calibration.consensus`),
 and the others are fitted again. Duplicate images are used once.
 """
 
@@ -22,6 +24,7 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.calibration.consensus import agreeing, focal_lengths, repeated
 from startracker.calibration.field import StarField, pair_up
 from startracker.calibration.known import KnownField, identify_all, starting_camera
+from startracker.calibration.residual_field import FrameInformation, ResidualField, field_columns
 from startracker.calibration.result import CalibratedField, Calibration
 from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
@@ -30,12 +33,17 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.identification.association import REJECT_SIGMAS
 from startracker.lens import PARAMETERS, only, plain
-from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled, significant, stretch
+from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled_equations, significant, stretch
 
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05
 _MOST_MAG = 3.0
 _FEWEST = 8
+_MOST_FIELD_PX = 4.0
+"""Largest rms value of a smooth distortion that the lens model does not describe, px; stars farther off are not
+matched."""
+_EVIDENT_FIELD = 0.25
+"""Ratio of that distortion to the residuals from which a note states it."""
 _ROUNDS = 4
 _VAGUE = 4.0
 """Maximum ratio of a centroid's stated error to the median of the image; centroids above it are blends or not stars."""
@@ -288,10 +296,21 @@ class _Bench:
         squares = sum(float(np.sum(r**2)) for r in self.fit.residuals)
         return math.log(squares / count) + len(self.fit.covariance) * math.log(count) / count
 
+    def _covariance(self, matches: list[Matches]) -> tuple[FloatArray, float]:
+        """Covariance of all unknowns with the effect of a smooth distortion that the lens model does not describe, and
+        the rms value of this distortion on each axis, px."""
+        fields = [field_columns(self.fit.camera, m.xy) for m in matches]
+        normal, right = rescaled_equations(self.fit, matches, fields, with_refraction=self.refraction)
+        size = len(self.fit.covariance)
+        covariance = np.asarray(np.linalg.inv(normal[:size, :size]), dtype=np.float64)
+        field = ResidualField(size, _MOST_FIELD_PX)
+        field.update(FrameInformation(normal, right), covariance)
+        return covariance + field.by_field @ field.moment @ field.by_field.T, field.rms_px
+
     def answer(self, unsolved: dict[str, str]) -> Calibration:
         """The result in its final form."""
         fit, matches = self.fit, self.matches()
-        covariance = rescaled(fit, matches, with_refraction=self.refraction)
+        covariance, field_px = self._covariance(matches)
         lens = len(fit.names)
         fields = []
         for i, (one, pairs) in enumerate(zip(self.known, self.pairs, strict=True)):
@@ -324,6 +343,7 @@ class _Bench:
             fit.freedom,
             float(np.mean(epochs)) if epochs else self.known[0].sky.catalog.epoch_jyear,
             unsolved,
+            field_px=field_px,
         )
         return replace(result, notes=_notes(result))
 
@@ -341,6 +361,11 @@ def _notes(result: Calibration) -> tuple[str, ...]:
         held = [n for n in result.held_by_prior() if n in ("cx", "cy")]
         if held:
             notes.append(f"{' and '.join(held)}: determined mainly by the prior (3 % of the width), not by the stars")
+    if result.field_px > _EVIDENT_FIELD * result.weighted_rms_px:
+        notes.append(
+            f"a smooth distortion of {result.field_px:.2g} px rms on each axis remains that the lens model does not "
+            "describe; the stated errors contain its effect"
+        )
     stretches = [float(np.hypot(*f.refraction)) for f in result.fields]
     if any(stretches):
         # κ tan²z / 2

@@ -66,7 +66,7 @@ class Calibration:
         Fitted parameters, of `startracker.lens.PARAMETERS`; the others were not significant and have their values of
         `startracker.lens.plain`.
     covariance : (P, P)
-        Covariance of these, with errors scaled by √(χ²/ν).
+        Covariance of these, with errors scaled by √(χ²/ν) and the effect of the distortion `field_px`.
     fields : tuple of CalibratedField
     plain_residual_px : list of (M, 2)
         Residuals of the same stars with a single focal length and no distortion.
@@ -80,6 +80,8 @@ class Calibration:
         Reasons of unused images, by name.
     notes : tuple of str
         Notes for the user.
+    field_px : float
+        Estimated rms value, on each axis, of a smooth distortion that the lens model does not describe.
     """
 
     camera: Camera
@@ -93,6 +95,7 @@ class Calibration:
     epoch_jyear: float
     unsolved: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    field_px: float = 0.0
 
     WELL_MEASURED_PX: ClassVar[float] = 0.2
 

@@ -40,3 +40,15 @@ def rolled(rng, true, sky, catalogue, sigma_px, roll_deg):
     seen = np.flatnonzero(true.contains(xy))
     measured = xy[seen] + rng.normal(0.0, 1.0, (len(seen), 2)) * sigma_px[seen, None]
     return matrix, IdentifiedStars(measured, catalogue[seen], sigma_px[seen], seen, np.full(len(seen), np.nan))
+
+
+def waves(seed, rms_px):
+    """A smooth displacement of an image of 1024 × 1024 pixels with an rms value on each axis: about a wave over it."""
+    phase, places = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 4), np.linspace(-1.0, 1.0, 41)
+
+    def shape(u, v):
+        x = np.sin(np.pi * u + phase[0]) * np.cos(2.0 * v + phase[1])
+        return np.stack([x, np.sin(np.pi * v + phase[2]) * np.cos(2.0 * u + phase[3])], axis=1)
+
+    size = rms_px / np.sqrt(np.mean(shape(*(grid.ravel() for grid in np.meshgrid(places, places))) ** 2))
+    return lambda xy: size * shape(*((xy - 511.5) / 512.0).T)

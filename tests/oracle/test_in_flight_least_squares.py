@@ -2,7 +2,8 @@
 
 Without drift the recursive estimate is that of one fit to all stars of all frames, with the lens and an attitude per
 frame as unknowns and the initial uncertainties as further observations: same estimate, same covariance. The fit here
-shares no code with the filter except the projection of the camera; its derivatives are finite differences.
+shares no code with the filter except the projection of the camera and the shape of the residual distortion; its
+derivatives are finite differences. Without a residual distortion (`field_px=0`) the lens alone is compared.
 """
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from startracker.calibration import InFlightSettings, LensFilter
+from startracker.calibration.residual_field import FIELD_TERMS, field_columns
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
 
@@ -20,6 +22,7 @@ NO_DRIFT = {
     "principal_point_drift_px_sqrt_h": 0.0,
     "distortion_drift_px_sqrt_h": 0.0,
     "star_error_px": 0.0,
+    "field_px": 0.0,
 }
 FISHEYE = Camera(300.0, 300.0, 255.5, 255.5, 512, 512, Distortion(k1=-0.01), projection="fisheye")
 
@@ -83,7 +86,7 @@ def test_a_star_moved_moves_the_estimate_as_stated():
     changes, filters = [], []
     for moved in (0.0, 0.02):
         rng = np.random.default_rng(8)
-        filtered = LensFilter(WIDE, InFlightSettings(star_error_px=0.01))
+        filtered = LensFilter(WIDE, InFlightSettings(star_error_px=0.01, field_px=0.0))
         sky = None
         for k in range(15):
             matrix = Rotation.from_rotvec([0.0, 0.0, 0.1 * k]).as_matrix()
@@ -108,3 +111,59 @@ def test_a_star_moved_moves_the_estimate_as_stated():
     scale = np.abs(expected) + 0.02 * np.sqrt(np.diag(filters[0].stars.covariance))
     np.testing.assert_allclose((changes[1] - changes[0]) / scale, expected / scale, atol=0.02)
     assert np.abs(expected / filters[0].sigma).max() > 0.05
+
+
+def test_lens_and_residual_distortion_are_those_of_one_fit():
+    """A lens with a smooth distortion of 0.1 px: lens, displacement and their covariance against one linear fit to all
+    stars for each rms value of the displacement, averaged with the evidence of each fit. The model is linear to 1e-3 as
+    above, and the weights of the rms values change by as much."""
+    settings = InFlightSettings(**NO_DRIFT | {"field_px": 1.0})
+    filtered, rng = LensFilter(WIDE, settings), np.random.default_rng(6)
+    size, terms = len(filtered.names), FIELD_TERMS
+    true = lens(WIDE, filtered.names, rng.normal(size=size) * filtered.initial_sigma)
+    bend = rng.normal(0.0, 0.1 / np.sqrt(terms / 2.0), terms)
+    frames = []
+    for k in range(6):
+        matrix, stars = new_sky(rng, true, 30, 0.05, 30 * k)
+        stars.xy[:] -= 0.1 * (stars.xy - true.project(stars.directions @ matrix.T))
+        stars.xy[:] += field_columns(WIDE, stars.xy) @ bend
+        found = filtered.update(matrix, stars)
+        assert found.accepted
+        frames.append((matrix, stars.select(found.used)))
+        assert found.noise_factor == filtered.noise_factor == 1.0
+
+    def residuals(unknown):
+        camera, turns = lens(WIDE, filtered.names, unknown[:size] * filtered.initial_sigma), unknown[size + terms :]
+        out = []
+        for (matrix, stars), turn in zip(frames, turns.reshape(-1, 3), strict=True):
+            xy = camera.project(stars.directions @ matrix.T @ Rotation.from_rotvec(1e-4 * turn).as_matrix().T)
+            moved = xy + field_columns(WIDE, stars.xy) @ unknown[size : size + terms]
+            out.append(((stars.xy - moved) / stars.sigma_px[:, None]).ravel())
+        return np.concatenate(out)
+
+    start = np.zeros(size + terms + 3 * len(frames))
+    start[:size] = filtered.change / filtered.initial_sigma
+    steps = 1e-4 * np.eye(len(start))
+    jacobian = np.stack([(residuals(start + h) - residuals(start - h)) / 2e-4 for h in steps], axis=1)
+    fits, log_evidence = [], []
+    for rms_px in 0.5 ** np.arange(11.0):
+        scale = np.concatenate([np.ones(size), np.full(terms, rms_px / np.sqrt(terms / 2.0)), np.ones(3 * len(frames))])
+        prior = np.diag(np.r_[np.ones(size + terms), np.zeros(3 * len(frames))])
+        normal = (jacobian * scale).T @ (jacobian * scale) + prior
+        wanted = residuals(start) - jacobian @ start
+        unknown = -np.linalg.solve(normal, (jacobian * scale).T @ wanted)
+        left = wanted + jacobian @ (scale * unknown)
+        log_evidence.append(-0.5 * (left @ left + unknown @ prior @ unknown + np.linalg.slogdet(normal)[1]))
+        fits.append((scale * unknown, np.linalg.inv(normal) * np.outer(scale, scale)))
+    weight = np.exp(np.array(log_evidence) - max(log_evidence))
+    weight /= weight.sum()
+    mean = sum(w * x for w, (x, _) in zip(weight, fits, strict=True))
+    spread = sum(w * (c + np.outer(x - mean, x - mean)) for w, (x, c) in zip(weight, fits, strict=True))
+    sigma = np.sqrt(np.diag(spread))
+    found = np.concatenate([filtered.change / filtered.initial_sigma, filtered.field.mean])
+    np.testing.assert_allclose((found - mean[: size + terms]) / sigma[: size + terms], 0.0, atol=0.03)
+    stated = filtered.field.joint(filtered.filtered) / np.outer(*[np.r_[filtered.initial_sigma, np.ones(terms)]] * 2)
+    of_both = slice(0, size + terms)
+    relative = np.outer(sigma[of_both], sigma[of_both])
+    np.testing.assert_allclose(stated / relative, spread[of_both, of_both] / relative, atol=0.02)
+    assert filtered.field.rms_px == pytest.approx(0.1, rel=0.5)  # of 26 coefficients, and few stars

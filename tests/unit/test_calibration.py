@@ -11,12 +11,14 @@ from simulator.cli import _run
 from startracker import Attitude, Camera, InputError
 from startracker.calibration import StarField, calibrate
 from startracker.calibration.camera_file import camera_yaml, rounded, summary
+from startracker.calibration.consensus import focal_lengths
 from startracker.calibration.plot import residual_figure, residual_picture
+from startracker.calibration.procedure import _notes
 from startracker.catalog import load_catalog
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.distortion import Distortion
 from startracker.lens import PARAMETERS, change_lens, is_one_to_one, sensitivity
-from startracker.lens_fit import stretch
+from startracker.lens_fit import Matches, stretch
 
 LENSES = {
     "pinhole": Camera(900.0, 905.0, 520.0, 370.0, 1024, 768, Distortion(k1=-0.2, k2=0.05, k3=-0.01, p1=2e-3, p2=-1e-3)),
@@ -69,14 +71,14 @@ def test_stretch_shortens_one_axis():
     np.testing.assert_allclose(stretch(np.array([[0.1, 0.1, 1.0]]), np.array([0.0, 1e-3])), [[0.1001, 0.1001, 1.0]])
 
 
-def field_of(camera, attitude, count=60, noise_px=0.1, name="image"):
+def field_of(camera, attitude, count=60, noise_px=0.1, name="image", seed=8):
     table = load_catalog("hipparcos").brighter_than(8.0)
     directions = table.directions(table.epoch_jyear)
     matrix = attitude.as_matrix()
     near = np.flatnonzero(directions @ matrix[2] > math.cos(min(1.02 * camera.half_diagonal_rad, 3.0)))
     xy = camera.project(directions[near] @ matrix.T)
     keep = np.flatnonzero(camera.contains(xy) & np.isfinite(xy).all(axis=1))[:count]
-    rng = np.random.default_rng(8)
+    rng = np.random.default_rng(seed)
     measured = xy[keep] + rng.normal(0, noise_px, (len(keep), 2))
     flux = 10.0 ** (-0.4 * table.v_mag[near[keep]])
     return StarField(name, measured, camera.width, camera.height, flux, np.full(len(keep), noise_px**2))
@@ -130,6 +132,49 @@ def test_held_principal_point_is_said(made):
     assert any("principal point held" in note for note in result.notes)
     told = calibrate([field_of(truth, Attitude.from_radec_roll(85.0, 5.0, 10.0))], parameters=["cx", "cy", "k1"])
     assert told.names == ("f", "cx", "cy", "k1")
+
+
+def test_only_parameters_held_by_their_prior_are_said_to_be(calibration):
+    """60 stars of 0.1 px in each of two fields of 20° determine the fitted terms; 30 of 1 px in one of 8° do not
+    determine the principal point within 3 % of the width (30 px), of which the note speaks."""
+    assert calibration.held_by_prior() == []
+    assert not any("mainly by the prior" in note for note in calibration.notes)
+    narrow = field_of(Camera.from_fov(8.0, 1000, 800), Attitude.from_radec_roll(85.0, 5.0, 10.0), 30, 1.0)
+    held = calibrate([narrow], parameters=["cx", "cy"])
+    assert held.held_by_prior() == ["cx", "cy"]
+    assert any(note.startswith("cx and cy: determined mainly by the prior") for note in held.notes)
+
+
+def test_noise_beyond_the_stated_errors_is_found(made):
+    """Errors of 0.2 px stated as 0.05 px: a floor of √(0.2² − 0.05²) = 0.194 px. The median of the squared residuals of
+    n = 180 stars is known to 1/(ln 2 √n) = 11 % (an exponential distribution), and the floor to half of it; 3σ."""
+    truth, _ = made
+    fields = []
+    for seed, ra_deg in enumerate((85.0, 280.0, 150.0)):
+        field = field_of(truth, Attitude.from_radec_roll(ra_deg, 5.0, 10.0), 60, 0.2, f"sky {seed}", seed)
+        fields.append(replace(field, variance_px2=np.full(len(field.xy), 0.05**2)))
+    assert calibrate(fields).floor_px == pytest.approx(0.194, rel=0.16)
+
+
+def test_altitudes_of_a_stretched_field_are_given(calibration):
+    """A stretch of κ tan²z / 2 with κ = 58.3″: at altitudes of 30° and 60°, tan²z is 3 and 1/3."""
+    half = 0.5 * 58.3 / 206_264.8
+    amounts = (np.array([3.0 * half, 0.0]), np.array([0.6 * half / 3.0, 0.8 * half / 3.0]))
+    fields = tuple(replace(f, refraction=a) for f, a in zip(calibration.fields, amounts, strict=True))
+    assert any(note.endswith("altitudes of about 30°, 60°") for note in _notes(replace(calibration, fields=fields)))
+
+
+def test_the_focal_length_of_an_image_needs_four_stars(made):
+    """Three stars are six observations for an attitude and a focal length, but no independent residual of each axis is
+    left: a standard error from two degrees of freedom is no reason to exclude an image."""
+    truth, _ = made
+    rng = np.random.default_rng(2)
+    xy = rng.uniform([100.0, 100.0], [900.0, 700.0], (4, 2))
+    directions = truth.unproject(xy)
+    for count, known in ((3, False), (4, True)):
+        stars = Matches(xy[:count] + rng.normal(0.0, 0.1, (count, 2)), directions[:count], np.full(count, 0.1))
+        found = focal_lengths(truth, [np.eye(3)], [stars])
+        assert np.isfinite(found.sigma[0]) == known
 
 
 @pytest.mark.parametrize("projection", ["auto", "fisheye"])

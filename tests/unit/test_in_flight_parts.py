@@ -207,6 +207,45 @@ def test_frames_of_stars_at_rest_are_used_once():
     assert calibration.update(2.0, Attitude.from_matrix(turned), moved).accepted
 
 
+def test_the_motion_of_the_stars_is_the_median_over_the_field():
+    """A roll about the boresight by which the median of a grid of 4 × 4 pixels moves by 1.02 px (those on the edges, at
+    0.527 widths), and their mean by 0.97 px."""
+    calibration = InFlightCalibration(WIDE, InFlightSettings(shift_px=1.0))
+    rng = np.random.default_rng(2)
+    matrix, stars = new_sky(rng, WIDE, 20, 0.05)
+    assert calibration.update(0.0, Attitude.from_matrix(matrix), stars).accepted
+    for moved_px, accepted in ((0.98, False), (1.02, True)):
+        roll = Rotation.from_rotvec([0.0, 0.0, moved_px / (0.527 * 1023)]).as_matrix() @ matrix
+        measured = WIDE.project(stars.directions @ roll.T)
+        moved = IdentifiedStars(measured, stars.directions, stars.sigma_px, stars.catalog_id, stars.flux)
+        assert calibration.update(1.0, Attitude.from_matrix(roll), moved).accepted == accepted
+
+
+def test_drifts_are_those_stated():
+    """Per √h in the settings, per √s in the filters: a factor of √3600."""
+    calibration = InFlightCalibration(WIDE, InFlightSettings(psf_width_drift_px_sqrt_h=0.3))
+    before = calibration.psf.variance_px2
+    calibration.psf.predict(3600.0)
+    assert calibration.psf.variance_px2 - before == pytest.approx(0.3**2)
+    lens_filter = calibration.lens
+    variance = lens_filter.covariance[1, 1]
+    lens_filter.predict(3600.0)
+    assert lens_filter.covariance[1, 1] - variance == pytest.approx(0.02**2)
+
+
+@pytest.mark.parametrize(("factor", "star_px"), [(1.5, 0.0), (1.0, 0.0), (1.0, 0.1)])
+def test_errors_larger_than_stated_are_noticed(factor, star_px):
+    """Six stars in each of 150 frames leave 9 degrees of freedom in each: the ratio of actual to stated errors is known
+    to 1/√(2 · 1350) = 1.9 %; four of these, and 1 % for the frames whose χ² is cut off. A ratio below 1 is 1."""
+    rng = np.random.default_rng(12)
+    settings = InFlightSettings(star_error_px=star_px, focal_length_ppm=1.0, principal_point_px=1e-3, field_px=0.0)
+    filtered = LensFilter(WIDE, settings)
+    for k in range(150):
+        matrix, stars = new_sky(rng, WIDE, 6, factor * math.hypot(0.05, star_px), 6 * k)
+        filtered.update(matrix, replace(stars, sigma_px=np.full(6, 0.05)))
+    assert filtered.noise_factor == pytest.approx(factor, rel=0.085)
+
+
 def test_mask_and_width_are_passed_on():
     calibration = InFlightCalibration(NARROW, psf_width_px=0.8)
     image = np.ones((128, 128), np.uint16)
@@ -261,7 +300,8 @@ def test_session_finds_the_focal_length_and_leaves_its_tracker_as_it_was(tracker
             continue
         assert lens_filter.frames == 25
         assert abs(lens_filter.change[0] - 3e-4) < 4.0 * lens_filter.sigma[0] < 1e-4
-        assert session.tracker.camera == lens_filter.camera != tracker.camera
+        assert session.tracker.camera == session.calibration.camera != tracker.camera
+        assert session.tracker.camera.fx == pytest.approx(lens_filter.camera.fx, rel=1e-5)
         assert solution.camera is not None
         np.testing.assert_allclose(session.covariance[:3, :3], solution.covariance)
         larger = solution.covariance - other.covariance[:3, :3]
