@@ -25,8 +25,8 @@ import numpy as np
 from benchmarks.doubtful_lists import (
     FIELDS,
     GROUPS,
-    DoubtfulList,
     SIZE_PX,
+    DoubtfulList,
     camera_of,
     doubtful_list,
 )
@@ -50,8 +50,9 @@ MODES = (
 )
 """Settings, and the share of the lists that are solved with each."""
 NOTES = [
-    "Real fields of stars with a camera that does not fit them: `benchmarks/doubtful_lists.py`. Wrong: accepted, though",
-    "off by more than 0.1° and by more than 5 standard errors, or though no attitude is right (torn, two fields, mirrored).",
+    "Real fields of stars, and a camera that does not fit them, `benchmarks/doubtful_lists.py`. Wrong: accepted,",
+    "though off by more than 0.1° and by more than 5 standard errors; of lists without a right attitude, accepted though half",
+    "of the image is unexplained (torn, two fields), or at all (mirrored).",
 ]
 
 
@@ -73,7 +74,7 @@ def _tracker(field: int, identifier: str, focal_error: float) -> StarTracker:
 
 def solve(given: DoubtfulList, mode: str) -> Solution:
     """Solution of a list in one of the modes."""
-    name = mode.split(",")[0]
+    name = mode.split(",", maxsplit=1)[0]
     if name not in ("update_centroids", "focal_error 0.1"):
         tracker = _tracker(given.field, name, 0.0)
     else:

@@ -7,9 +7,9 @@ stars without a guide star where bright guide stars are without a star, mean tha
 scale or the roll hang on a knot of stars, or the image is not one field. The evidence against chance
 (`startracker.identification.bayes_factor`) does not see this, as a knot that is identified is far from chance.
 
-The matched fraction is at least 0.5 on one of both sides in real fields, and below 0.4 on both it is refused. Moreover, on
-one side of a line across the image, or outside a circle about the matched stars, fewer are matched than on the
-other. With a of n items matched in each of two parts the logarithm of the likelihood ratio of two different fractions
+The matched fraction is at least 0.5 on one of both sides in real fields, and below 0.4 on both it is refused.
+Moreover, on one side of a line across the image, or outside a circle about the matched stars, fewer are matched than
+on the other. With a of n items matched in each of two parts the logarithm of the likelihood ratio of two different fractions
 against a common one is
 
     G = Σ_parts ln L(a, n) − ln L(Σ a, Σ n),    ln L(a, n) = a ln(a/n) + (n − a) ln(1 − a/n).
@@ -36,8 +36,8 @@ from startracker.sorting import order_of_columns
 
 LARGEST_CONTRAST = 6.0
 """G above which an attitude is refused. With equal fractions one of the sides exceeds it on a given line with
-probability 2.7e-4 (χ² above 12, one of the two tails), and both, which are independent, with 7e-8. The largest over all
-lines exceeds it in 2 of 5,100 fields with false and missing stars (`benchmarks.identification`, cases of 20 % dropped)."""
+probability 2.7e-4 (χ² above 12, one of the two tails), and both, which are independent, with 7e-8. The largest over
+all lines exceeds it in 2 of 5,100 fields with false and missing stars (`benchmarks.identification`, 20 % dropped)."""
 LEAST_EXPLAINED = 0.4
 """Matched fraction below which an attitude is refused if both sides are below it, wherever on the image: in the same
 5,100 fields it is 0.5 or more on one of them."""
@@ -49,8 +49,8 @@ FEW_STARS, FEW_STARS_SIGMAS = 4, 4.5
 """Three or four stars fit another field too easily if their errors may be larger than stated: each residual must be
 within the gate of the stated errors (`identification.verification.GATE_SIGMAS`)."""
 LEAST_SHARE = 0.2
-"""Unmatched stars of the part, and guide stars, as a fraction of the matched ones, below which the attitude is kept: the
-corner of a lens whose distortion is not known leaves the greater part of the image explained."""
+"""Unmatched stars of the part, and guide stars, as a fraction of the matched ones, below which the attitude is kept:
+the corner of a lens whose distortion is not known leaves the greater part of the image explained."""
 NO_ROWS = np.empty(0, np.int64)
 _DIRECTIONS = 8
 BRIGHT = 0.9
@@ -169,7 +169,7 @@ def reason_to_refuse(
     ignored : (B,)
         Centroids that are not stars, such as planets.
     identify : callable
-        Guide stars that some centroids, by their rows, are identified with by themselves; called in doubtful cases only.
+        Guide stars with which some centroids, by their rows, are identified by themselves; for doubtful cases.
     """
     stars = fit.pairs[:, 0]
     if len(stars) <= FEW_STARS:

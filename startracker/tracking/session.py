@@ -26,9 +26,10 @@ from startracker.identification.acceptance import accepts
 from startracker.interop import is_rotation, plain
 from startracker.observer import Observer, corrects_aberration
 from startracker.records import made
+from startracker.refine_stars import STATED_PX
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
-from startracker.tracker import STATED_PX, StarTracker
+from startracker.tracker import StarTracker
 from startracker.tracking.following import Followed
 from startracker.tracking.frame_clock import FrameClock
 from startracker.tracking.looking import Expected, Seen, Sky, as_pixels, centroids_seen, look, streak_px, window_half
