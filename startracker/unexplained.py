@@ -9,8 +9,8 @@ scale or the roll hang on a knot of stars, or the image is not one field. The ev
 
 The matched fraction is at least 0.5 on one of both sides in real fields, and below 0.4 on both it is refused.
 Moreover, on one side of a line across the image, or outside a circle about the matched stars, fewer are matched than
-on the other. With a of n items matched in each of two parts the logarithm of the likelihood ratio of two different fractions
-against a common one is
+on the other. With a of n items matched in each of two parts the logarithm of the likelihood ratio of two different
+fractions against a common one is
 
     G = Σ_parts ln L(a, n) − ln L(Σ a, Σ n),    ln L(a, n) = a ln(a/n) + (n − a) ln(1 − a/n).
 
