@@ -132,8 +132,8 @@ def doubtful_list(group: str, index: int, seed: int = 1) -> DoubtfulList:
     if kind == "few stars":
         few = int(rng.integers(3, 9))
         xy, flux = xy[:few], flux[:few]
-    told = rng.random()
-    stated = None if told < 0.2 else NOISE_PX
+    chance = rng.random()
+    stated = None if chance < 0.2 else NOISE_PX
     return DoubtfulList(
         kind,
         field,
@@ -154,15 +154,15 @@ def _random_rotation(rng: np.random.Generator) -> FloatArray:
 
 
 def _towards(rng: np.random.Generator, field: int, radec_deg: tuple[float, float]) -> FloatArray:
-    """A random attitude that has a place of the sky on the inner 80 % of the image."""
+    """A random attitude that has a direction of the sky on the inner 80 % of the image."""
     across = 0.8 * math.tan(math.radians(0.5 * FIELDS[field][0]))
     x, y = rng.uniform(-across, across, 2)
     seen = np.array([x, y, 1.0]) / math.sqrt(x * x + y * y + 1.0)
-    place, roll = radec_to_direction(*np.radians(radec_deg)), rng.uniform(0.0, 2.0 * math.pi)
-    axis = np.cross(place, seen)
-    turn = rotation_vector_to_matrix(axis / np.linalg.norm(axis) * math.atan2(np.linalg.norm(axis), place @ seen))
+    target, roll = radec_to_direction(*np.radians(radec_deg)), rng.uniform(0.0, 2.0 * math.pi)
+    axis = np.cross(target, seen)
+    turn = rotation_vector_to_matrix(axis / np.linalg.norm(axis) * math.atan2(np.linalg.norm(axis), target @ seen))
     matrix: FloatArray = rotation_vector_to_matrix(seen * roll) @ turn
-    if float((matrix @ place) @ seen) < 0.999:  # the sense of the rotation is that of the frame, not of the vector
+    if float((matrix @ target) @ seen) < 0.999:  # the sense of the rotation is that of the frame, not of the vector
         matrix = rotation_vector_to_matrix(seen * roll) @ turn.T
     return matrix
 

@@ -50,8 +50,9 @@ MODES = (
 )
 """Settings, and the share of the lists that are solved with each."""
 NOTES = [
-    "Real fields of stars with a camera that does not fit them: `benchmarks/doubtful_lists.py`. Wrong: accepted, though",
-    "off by more than 0.1° and by more than 5 standard errors, or though no attitude is right (torn, two fields, mirrored).",
+    "Real fields of stars, and a camera that does not fit them (`benchmarks/doubtful_lists.py`). Wrong: accepted,",
+    "though off by more than 0.1° and by more than 5 standard errors; where no attitude is right, accepted at all",
+    "(mirrored), or with half of the image unexplained (torn, two fields).",
 ]
 
 

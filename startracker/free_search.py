@@ -69,6 +69,28 @@ class FreeSearch:
         area = float(self.width) * self.height
         self._excess = log_excess_density(np.ascontiguousarray(self.xy), area)
 
+    @classmethod
+    def about(
+        cls,
+        camera: Camera,
+        xy: FloatArray,
+        flux: FloatArray | None,
+        variance_px2: FloatArray | None,
+        catalog: str | StarCatalog,
+        settings: IdentificationSettings,
+        observer: Observer | None,
+    ) -> FreeSearch:
+        """Search about a known camera."""
+        size = camera.width, camera.height
+        return cls(xy, flux, *size, catalog, settings, observer, variance_px2=variance_px2, rough=camera)
+
+    def run_about(self, error: float) -> tuple[Solution, tuple[float, float, float]]:
+        """Search within a relative error of the known camera's focal length; and the band that is searched."""
+        assert self.rough is not None
+        fov = self.rough.undistorted_fov_deg
+        band = (fov * (1.0 - error), fov, fov * (1.0 + error))
+        return self.run((band,), (self.rough.parity,)), band
+
     def run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
         """Search each band and parity until a fit is accepted beyond doubt or the limit of operations is reached."""
         return replace(self._run(bands, sides), operations=self.operations)

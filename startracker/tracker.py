@@ -39,7 +39,7 @@ from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
 from startracker.records import changed, made
 from startracker.refine import Measured, Refined
-from startracker.refine_stars import refine_stars, selected
+from startracker.refine_stars import refine_stars, selected, stated_errors
 from startracker.registry import lookup
 from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
@@ -48,11 +48,6 @@ from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps
 from startracker.unexplained import Fitted, reason_to_refuse
 from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
-
-STATED_PX = 0.15
-"""Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
-IMAGE_FLOOR_PX = 0.1
-"""Added to the centroid errors for identification only: errors of the camera model and blends."""
 
 
 class StarTracker:
@@ -325,7 +320,7 @@ class StarTracker:
             observed, _, _ = self._observed(selected(stars, rows))
             return self._identify(observed, guide, self.identification, None).pairs[:, 1]
 
-        reason = reason_to_refuse(stars.xy, self._stated_px(stars), fit, guide, solution.bodies.centroid, identify)
+        reason = reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, solution.bodies.centroid, identify)
         if not reason:
             return solution
         refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {reason}", clock, stars.xy)
@@ -335,35 +330,17 @@ class StarTracker:
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""
-        camera, error = self.camera, self.focal_error
-        search = FreeSearch(
-            stars.xy,
-            stars.flux,
-            camera.width,
-            camera.height,
-            self.catalog,
-            self.identification,
-            observer,
-            variance_px2=stars.variance_px2,
-            rough=camera,
-            estimator=self.direction_estimator,
-        )
-        fov = camera.undistorted_fov_deg
-        band = (fov * (1.0 - error), fov, fov * (1.0 + error))
-        found = search.run((band,), (camera.parity,))
+        stated, settings = stars.variance_px2, self.identification
+        search = FreeSearch.about(self.camera, stars.xy, stars.flux, stated, self.catalog, settings, observer)
+        search = replace(search, estimator=self.direction_estimator)
+        found, band = search.run_about(self.focal_error)
         clock.lap("free_scale")
-        step = search_step(search.trials, (band,), (camera.parity,))
+        step = search_step(search.trials, (band,), (self.camera.parity,))
         return found, (step, Step("identification", found.reason))
-
-    def _stated_px(self, stars: Measured) -> FloatArray:
-        """Standard errors (N,) assumed for the identification."""
-        if stars.variance_px2 is None:
-            return filled(len(stars.xy), STATED_PX)
-        return np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
 
     def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
         """Directions for the identification, the centroids that have one, and those of all centroids."""
-        stated = self._stated_px(stars)
+        stated = stated_errors(stars)
         camera, most = self.camera, self.identification.max_centroids
         directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
         signal = None if stars.flux is None else stars.flux[usable[:most]]

@@ -1,16 +1,16 @@
 """The one check of an attitude against the whole field: bright stars that stay unexplained on both sides.
 
 An accepted attitude explains the brightest stars of the list and the brightest guide stars of the field. Either side
-alone may be incomplete: guide stars are hidden by the Earth, a cloud or a baffle, and then nothing is seen in their
-place; false stars, satellites or hot pixels are added, and then the guide stars are seen as well. Both together, bright
+alone may be incomplete: guide stars are hidden by the Earth, a cloud or a baffle, and then nothing is seen
+there; false stars, satellites or hot pixels are added, and then the guide stars are seen as well. Both together, bright
 stars without a guide star where bright guide stars are without a star, mean that the stars are there but elsewhere: the
 scale or the roll hang on a knot of stars, or the image is not one field. The evidence against chance
 (`startracker.identification.bayes_factor`) does not see this, as a knot that is identified is far from chance.
 
-The matched fraction is at least 0.5 on one of both sides in real fields, and below 0.4 on both it is refused. Moreover, on
-one side of a line across the image, or outside a circle about the matched stars, fewer are matched than on the
-other. With a of n items matched in each of two parts the logarithm of the likelihood ratio of two different fractions
-against a common one is
+The matched fraction is at least 0.5 on one of both sides in real fields, and below 0.4 on both it is refused.
+Moreover, on one side of a line across the image, or outside a circle about the matched stars, fewer are matched than
+on the other. With a of n items matched in each of two parts the logarithm of the likelihood ratio of two different
+fractions against a common one is
 
     G = Σ_parts ln L(a, n) − ln L(Σ a, Σ n),    ln L(a, n) = a ln(a/n) + (n − a) ln(1 − a/n).
 
@@ -36,8 +36,8 @@ from startracker.sorting import order_of_columns
 
 LARGEST_CONTRAST = 6.0
 """G above which an attitude is refused. With equal fractions one of the sides exceeds it on a given line with
-probability 2.7e-4 (χ² above 12, one of the two tails), and both, which are independent, with 7e-8. The largest over all
-lines exceeds it in 2 of 5,100 fields with false and missing stars (`benchmarks.identification`, cases of 20 % dropped)."""
+probability 2.7e-4 (χ² above 12, one of the two tails), and both, which are independent, with 7e-8. The largest over
+all lines exceeds it in 2 of 5,100 fields with false and missing stars (`benchmarks.identification`, 20 % dropped)."""
 LEAST_EXPLAINED = 0.4
 """Matched fraction below which an attitude is refused if both sides are below it, wherever on the image: in the same
 5,100 fields it is 0.5 or more on one of them."""
@@ -49,8 +49,8 @@ FEW_STARS, FEW_STARS_SIGMAS = 4, 4.5
 """Three or four stars fit another field too easily if their errors may be larger than stated: each residual must be
 within the gate of the stated errors (`identification.verification.GATE_SIGMAS`)."""
 LEAST_SHARE = 0.2
-"""Unmatched stars of the part, and guide stars, as a fraction of the matched ones, below which the attitude is kept: the
-corner of a lens whose distortion is not known leaves the greater part of the image explained."""
+"""Unmatched stars of the part, and guide stars, as a fraction of the matched ones, below which the attitude is kept:
+the corner of a lens whose distortion is not known leaves the greater part of the image explained."""
 NO_ROWS = np.empty(0, np.int64)
 _DIRECTIONS = 8
 BRIGHT = 0.9
@@ -169,7 +169,7 @@ def reason_to_refuse(
     ignored : (B,)
         Centroids that are not stars, such as planets.
     identify : callable
-        Guide stars that some centroids, by their rows, are identified with by themselves; called in doubtful cases only.
+        Guide stars with which some centroids, by their rows, are identified by themselves; for doubtful cases.
     """
     stars = fit.pairs[:, 0]
     if len(stars) <= FEW_STARS:
@@ -238,23 +238,23 @@ def bright_items(
     matched guide stars, 4 centroids beside a guide star; none if fewer than three are unmatched on either side."""
     fewer = min(len(xy), len(positions))
     stars, guides = max(_number_bright(seen), fewer), max(_number_bright(matched), fewer)
-    kind, place, count = np.empty(stars + guides, np.int64), np.empty((stars + guides, 2)), 0
+    kind, position, count = np.empty(stars + guides, np.int64), np.empty((stars + guides, 2)), 0
     lost_stars, lost_guides = 0, 0
     for n in range(stars):
         lost_stars += not seen[n]
     for k in range(guides):
         lost_guides += not matched[k]
     if min(lost_stars, lost_guides) < FEWEST:
-        return kind[:0], place[:0]
+        return kind[:0], position[:0]
     for n in range(stars):
         beside = not seen[n] and _has_neighbour(xy[n, 0], xy[n, 1], positions)
-        kind[count], place[count, 0], place[count, 1] = 4 if beside else int(seen[n]), xy[n, 0], xy[n, 1]
+        kind[count], position[count, 0], position[count, 1] = 4 if beside else int(seen[n]), xy[n, 0], xy[n, 1]
         count += 1
     for k in range(guides):
         if matched[k] or not _has_neighbour(positions[k, 0], positions[k, 1], xy):
-            kind[count], place[count, 0], place[count, 1] = 2 + int(matched[k]), positions[k, 0], positions[k, 1]
+            kind[count], position[count, 0], position[count, 1] = 2 + int(matched[k]), positions[k, 0], positions[k, 1]
             count += 1
-    return kind[:count], place[:count]
+    return kind[:count], position[:count]
 
 
 def _guide_stars(fit: Fitted, guide: GuideDatabase) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -276,8 +276,8 @@ def unexplained_of(xy: FloatArray, seen: BoolArray, positions: FloatArray, match
     positions, matched : (K, 2), (K,)
         Predicted positions of the guide stars on the image, brightest first, and whether they are matched.
     """
-    kind, place = bright_items(xy, seen, positions, matched)
-    return Unexplained(*contradiction(kind, place)) if len(kind) else NOTHING
+    kind, position = bright_items(xy, seen, positions, matched)
+    return Unexplained(*contradiction(kind, position)) if len(kind) else NOTHING
 
 
 def is_part_hidden(positions: FloatArray, matched: BoolArray) -> bool:
@@ -290,13 +290,13 @@ def is_part_hidden(positions: FloatArray, matched: BoolArray) -> bool:
 
 
 @kernel
-def contradiction(kind: IntArray, place: FloatArray) -> tuple[float, int, int, int, int, int, int, int]:
+def contradiction(kind: IntArray, position: FloatArray) -> tuple[float, int, int, int, int, int, int, int]:
     """The fields of `Unexplained` from `bright_items`."""
     total, outside, middle = np.zeros(5, np.int64), np.zeros(5, np.int64), np.zeros(2)
     for n in range(len(kind)):
         total[kind[n]] += 1
         for axis in range(2):
-            middle[axis] += place[n, axis] if kind[n] == 3 else 0.0
+            middle[axis] += position[n, axis] if kind[n] == 3 else 0.0
     worst, stars, guides = 0.0, 0, 0
     if min(total[0], total[2]) >= FEWEST and min(total[1], total[3]) > 0:
         whole_stars, whole_guides = _log_likelihood(total[1], total[0]), _log_likelihood(total[3], total[2])
@@ -305,10 +305,10 @@ def contradiction(kind: IntArray, place: FloatArray) -> tuple[float, int, int, i
             angle = math.pi * line / _DIRECTIONS
             for n in range(len(kind)):
                 if line == 2 * _DIRECTIONS:
-                    x, y = place[n, 0] - middle[0] / total[3], place[n, 1] - middle[1] / total[3]
+                    x, y = position[n, 0] - middle[0] / total[3], position[n, 1] - middle[1] / total[3]
                     key[0, n] = -math.hypot(x, y)
                 else:
-                    key[0, n] = math.cos(angle) * place[n, 0] + math.sin(angle) * place[n, 1]
+                    key[0, n] = math.cos(angle) * position[n, 0] + math.sin(angle) * position[n, 1]
             outside[:] = 0
             for n in order_of_columns(key):
                 outside[kind[n]] += 1

@@ -21,9 +21,9 @@ from startracker.front_end import Clock, find_stars
 from startracker.given_image import given_image
 from startracker.identification import METHODS
 from startracker.identification.observed import Observed
+from startracker.refine_stars import STATED_PX
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
-from startracker.tracker import STATED_PX
 
 CASE = CASES["10deg 6.0, 0.1 px"]
 SCENES, TRIALS, NOISE_PX = 2000, 25, 0.1

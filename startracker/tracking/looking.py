@@ -20,7 +20,8 @@ from startracker.geometry.image_map import to_directions
 from startracker.given_centroids import SAME_STAR_PX
 from startracker.observer import Observer
 from startracker.records import made
-from startracker.tracker import IMAGE_FLOOR_PX, STATED_PX, StarTracker
+from startracker.refine_stars import IMAGE_FLOOR_PX, STATED_PX
+from startracker.tracker import StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image
 

@@ -25,11 +25,12 @@ from startracker.identification.acceptance import accepts
 from startracker.interop import plain
 from startracker.observer import Observer, corrects_aberration
 from startracker.records import made
+from startracker.refine_stars import STATED_PX
 from startracker.setting_checks import settings_or_default
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
 from startracker.survey import plain as plain_array
-from startracker.tracker import STATED_PX, StarTracker
+from startracker.tracker import StarTracker
 from startracker.tracking.checked import checked_rate
 from startracker.tracking.following import Followed
 from startracker.tracking.frame_clock import FrameClock

@@ -1,4 +1,4 @@
-"""Displacement of faint stars against bright ones by an asymmetric star image: measured from the frame, and corrected."""
+"""Displacement of faint stars against bright ones by an asymmetric image: measured from the frame, and corrected."""
 
 import numpy as np
 import pytest
