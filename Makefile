@@ -36,9 +36,10 @@ test test-system test-slow test-all: export PYTHONDONTWRITEBYTECODE :=
 # The slice follows from the number of commits, so that five commits in a row run all slow tests.
 # Durations and the commit go to tests/slow_tests.json, to be committed; CI does not write it.
 RECORD ?= --record-slow
+MINUTES ?= 60
 SLICE ?= $(shell echo $$(($$(git rev-list --count HEAD) % 5 + 1))/5)
 test-slow: $(VENV)/.installed-oracles
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --slow-slice $(SLICE) $(RECORD)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --slow-slice $(SLICE) --slow-minutes $(MINUTES) $(RECORD)
 
 test-all: $(VENV)/.installed-oracles
 	$(BIN)/python tests/helpers/slow_tests.py

@@ -2,6 +2,7 @@
 
 import gc
 import os
+import time
 
 import pytest
 import slow_tests
@@ -20,6 +21,7 @@ settings.load_profile("repeat")
 def pytest_addoption(parser):
     group = parser.getgroup("slow tests")
     group.addoption("--slow-slice", metavar="K/N", help="run slice K of N of the slow tests, even in duration")
+    group.addoption("--slow-minutes", type=float, help="skip the slow tests that have not begun after this time")
     group.addoption("--record-slow", action="store_true", help="write durations of slow tests and the commit")
 
 
@@ -43,6 +45,20 @@ def pytest_collection_modifyitems(config, items):
 def pytest_configure(config):
     if config.getoption("--record-slow") and not hasattr(config, "workerinput"):  # once, not by each worker
         config.pluginmanager.register(SlowRecorder(), "slow recorder")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def began_s():
+    """When the tests of this process began."""
+    return time.monotonic()
+
+
+@pytest.fixture(autouse=True)
+def within_the_time_for_slow_tests(request, began_s):
+    """With durations that are not yet known, a slice could take hours; what it leaves out stays due."""
+    minutes = request.config.getoption("--slow-minutes")
+    if minutes is not None and request.node.get_closest_marker("slow") and time.monotonic() - began_s > 60.0 * minutes:
+        pytest.skip(f"the {minutes:g} minutes for slow tests are over")
 
 
 class SlowRecorder:

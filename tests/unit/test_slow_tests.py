@@ -2,6 +2,7 @@
 
 import random
 import subprocess
+import sys
 
 import pytest
 import slow_tests
@@ -106,3 +107,13 @@ def test_changed_code_makes_a_test_stale(tmp_path, monkeypatch):
     assert "startracker/deep.py" in slow_tests.stale_tests([name], records)[name]
     assert slow_tests.stale_tests([name], {})[name] == "has never passed on record"
     slow_tests._imported_files.cache_clear()
+
+
+def test_slow_tests_that_begin_too_late_are_skipped():
+    """With no time at all every slow test is skipped, and says why."""
+    command = [sys.executable, "-m", "pytest", "-q", "-rs", "-p", "no:xdist", "-m", "slow", "--slow-minutes", "0"]
+    file = "tests/statistical/test_few_stars.py"
+    done = subprocess.run([*command, file], cwd=slow_tests.ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "the 0 minutes for slow tests are over" in done.stdout
+    assert "passed" not in done.stdout
