@@ -298,7 +298,7 @@ class Mekf:
         sigma = np.ascontiguousarray(np.broadcast_to(given.reshape(-1), (len(b),)))
         if not (len(b) and (sigma > 0.0).all()):
             raise InputError("a filter needs at least one direction, each with a positive standard error")
-        return self.update_stars(b, r, sigma, false_rejection)
+        return self.update_stars(b, r, sigma, _probability(false_rejection))
 
     def update_stars(
         self, observed: FloatArray, reference: FloatArray, sigma_rad: FloatArray, false_rejection: float

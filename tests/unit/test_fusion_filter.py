@@ -167,12 +167,15 @@ def test_memory(flight):
         (lambda f: Head("a", ALONG_Z, -1.0), "alignment_sigma_rad"),
         (lambda f: Head("a", Attitude([0, 0, 0, 1])), "body to camera"),
         (lambda f: f.add_gyro(0.0, 0.0, np.zeros(3)), "positive length"),
-        (lambda f: f.add_gyro(0.0, 1.0, [0.0, math.nan, 0.0]), "three finite numbers"),
+        (lambda f: f.add_gyro(0.0, 1.0, [0.0, math.nan, 0.0]), "a gyro sample must be finite numbers"),
         (lambda f: (f.add_gyro(0.0, 1.0, np.zeros(3)), f.add_gyro(0.5, 1.5, np.zeros(3))), "overlap"),
         (lambda f: FusionFilter(HEADS, RateNoise()).add_gyro(0.0, 1.0, np.zeros(3)), "no gyro"),
         (lambda f: f.add_attitude("c", 0.0, Attitude([0, 0, 0, 1]), np.eye(3)), "unknown head"),
         (lambda f: f.add_attitude("a", 0.0, Attitude([0, 0, 0, 1]), -np.eye(3)), "positive definite"),
-        (lambda f: f.add_attitude("a", math.nan, Attitude([0, 0, 0, 1]), np.eye(3)), "finite"),
+        (
+            lambda f: f.add_attitude("a", math.nan, Attitude([0, 0, 0, 1]), np.eye(3)),
+            "the time of an attitude must be a number",
+        ),
         (lambda f: [f.add_attitude("a", 0.0, Attitude([0, 0, 0, 1]), np.eye(3)) for _ in range(2)], "two attitudes"),
     ],
 )
