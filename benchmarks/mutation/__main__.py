@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import datetime
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -46,16 +48,25 @@ class Copy:
         self._users = users_of_modules(folder)
 
     def passes(self, tests: Iterable[str], limit_s: float) -> bool:
-        """Whether the tests pass within a time."""
+        """Whether the tests pass within a time; tests that are killed, by the system or by a crash, do not."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *tests]
         environment = {"PYTHONPATH": str(self.folder), "PATH": "/usr/bin:/bin", "HOME": str(self.folder)}
-        try:
-            done = subprocess.run(
-                command, cwd=self.folder, env=environment, timeout=limit_s, capture_output=True, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return False
-        return done.returncode == 0
+        # a session of its own, so that programs which the tests started end with them, and Ctrl-C reaches only this one
+        with subprocess.Popen(
+            command,
+            cwd=self.folder,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        ) as tests_running:
+            try:
+                return tests_running.wait(limit_s) == 0
+            except subprocess.TimeoutExpired:
+                return False
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(tests_running.pid, signal.SIGKILL)
 
     def notices(self, fault: Fault, tests: Iterable[str], limit_s: float) -> bool:
         """Whether the tests fail with a fault; the copy is as before afterwards."""
@@ -135,25 +146,41 @@ def main() -> None:
     parser.add_argument("--seed", default="1", help="of the choice of faults")
     parser.add_argument("--out", type=Path, help="page to write, Markdown")
     given = parser.parse_args()
-    equivalent, results = known_equivalent(), {}
+    equivalent = known_equivalent()
+    results: dict[str, list[tuple[Fault, str]]] = {}
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        measure(given.area or list(AREAS), given.faults, given.seed, results)
+    except KeyboardInterrupt:
+        print("interrupted; the faults so far:")
+    text = page(results, given.seed, equivalent)
+    if given.out:
+        given.out.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def measure(areas: Iterable[str], count: int, seed: str, results: dict[str, list[tuple[Fault, str]]]) -> None:
+    """Plant faults of each area, and add the outcomes to `results`, which has those so far if this is interrupted."""
+    equivalent = known_equivalent()
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
-        for name in given.area or AREAS:
+        for name in areas:
             tests = AREAS[name].test_files(ROOT)
             began = time.perf_counter()
             if not copy.passes(tests, 3600.0):
                 raise SystemExit(f"the tests of {name} fail without a fault: {' '.join(tests)}")
             limit_s = 60.0 + _SLOWER * (time.perf_counter() - began)
             results[name] = []
-            for fault in sample(AREAS[name], given.faults, f"{given.seed} {name}"):
-                noticed = copy.notices(fault, tests, limit_s)
+            for fault in sample(AREAS[name], count, f"{seed} {name}"):
+                noticed = copy.notices(fault, nearest_first(tests, fault), limit_s)
                 outcome = NOTICED if noticed else EQUIVALENT if str(fault) in equivalent else UNNOTICED
                 results[name].append((fault, outcome))
                 print(f"{name}: {outcome}: {fault}", flush=True)
-    text = page(results, given.seed, equivalent)
-    if given.out:
-        given.out.write_text(text, encoding="utf-8")
-    print(text)
+
+
+def nearest_first(tests: list[str], fault: Fault) -> list[str]:
+    """Files of tests, first those that mention the module of a fault: the run of a fault ends at the first failure."""
+    return sorted(tests, key=lambda name: fault.path.stem not in (ROOT / name).read_text(encoding="utf-8"))
 
 
 def page(results: dict[str, list[tuple[Fault, str]]], seed: str, equivalent: dict[str, str]) -> str:
