@@ -8,6 +8,7 @@ import contextlib
 import datetime
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -178,9 +179,13 @@ def measure(areas: Iterable[str], count: int, seed: str, results: dict[str, list
                 print(f"{name}: {outcome}: {fault}", flush=True)
 
 
-def nearest_first(tests: list[str], fault: Fault) -> list[str]:
-    """Files of tests, first those that mention the module of a fault: the run of a fault ends at the first failure."""
-    return sorted(tests, key=lambda name: fault.path.stem not in (ROOT / name).read_text(encoding="utf-8"))
+def nearest_first(tests: Iterable[str], fault: Fault) -> list[str]:
+    """Files of tests of an area and all others that import the module of a fault, these first: the run of a fault ends
+    at the first failure."""
+    package, name = ".".join(fault.path.parent.parts), fault.path.stem
+    imported = re.compile(rf"\b{re.escape(package)}(\.{name}\b| import .*\b{name}\b)")
+    near = [path for path in sorted(ROOT.glob("tests/*/test_*.py")) if imported.search(path.read_text("utf-8"))]
+    return list(dict.fromkeys([*(str(path.relative_to(ROOT)) for path in near), *tests]))
 
 
 def page(results: dict[str, list[tuple[Fault, str]]], seed: str, equivalent: dict[str, str]) -> str:
@@ -188,7 +193,8 @@ def page(results: dict[str, list[tuple[Fault, str]]], seed: str, equivalent: dic
     day = datetime.datetime.now(datetime.UTC).date()
     introduction = (
         f"`python -m benchmarks.mutation --seed {seed}`, {day}. One operator, constant or term of a guard is changed "
-        "at a time, drawn at random from all that an area has, and the area's tests run. "
+        "at a time, drawn at random from all that an area has; the area's tests run, and all others that import the "
+        "changed module. "
         "Faults that change nothing a user can observe do not count."
     )
     lines = [

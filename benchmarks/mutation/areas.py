@@ -42,6 +42,7 @@ AREAS = {
             "*/test_jitter*",
             "*/test_walker",
             "*/test_tracking_gyro",
+            "*/test_gyro*",
         ),
     ),
     "sky": Area(
@@ -57,6 +58,7 @@ AREAS = {
             "*/test_planet*",
             "*/test_catalogue_and_time*",
             "*/test_photometry*",
+            "*/test_monotone*",
         ),
     ),
     "optics": Area(
@@ -83,6 +85,8 @@ AREAS = {
             "unit/test_compare",
             "unit/test_run_times",
             "unit/test_truth*",
+            "unit/test_sequence_statistics",
+            "unit/test_folder_locks",
         ),
     ),
     "datasheet": Area(("simulator/study/datasheet/*.py",), ("*/test_datasheet*",)),
