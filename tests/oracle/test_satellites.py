@@ -433,8 +433,8 @@ def test_a_damaged_list_is_an_error_of_the_scenario_with_file_and_line(listed, t
 
 
 def test_a_satellite_that_passes_closer_than_its_path_is_near():
-    """Within the distance that it covers during the exposure its direction turns by up to 90°: at 2 km, with 10 km/s, it
-    is listed across the boresight in 0.5 s, and 30° from it at most in 0.1 s; those at 1000 km are not, nor the
+    """Within the distance that it covers during the exposure its direction turns by up to 90°: at 2 km, with 10 km/s,
+    it is listed across the boresight in 0.5 s, and 30° from it at most in 0.1 s; those at 1000 km are not, nor the
     spacecraft itself."""
     from simulator.mission.trajectory import States
     from simulator.sky.satellites import Look, SatelliteList

@@ -11,7 +11,7 @@ import pytest
 
 from simulator.scenario import Scenario
 from simulator.study.folder_lock import LOCK_FILE, Owner, folder_lock
-from simulator.study.results_folder import Identity, refuse_other_files, results_folder, scenario_sha256
+from simulator.study.results_folder import Identity, refuse_other_files, results_folder, scenario_sha256, study_folder
 from startracker.errors import InputError
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="processes of other hosts and of Windows are not examined")
@@ -43,9 +43,9 @@ def test_the_lock_of_an_ended_process_is_taken_over_and_removed(ended, tmp_path)
     path.write_text(json.dumps({"pid": ended, "host": platform.node(), "started": "1"}))
     with folder_lock(tmp_path):
         assert json.loads(path.read_text())["pid"] == os.getpid()
-        with pytest.raises(InputError, match=f"in use by process {os.getpid()} on this machine; wait until it has fin"):
-            with folder_lock(tmp_path):
-                pass
+        message = f"in use by process {os.getpid()} on this machine; wait until it has finished"
+        with pytest.raises(InputError, match=message), folder_lock(tmp_path):
+            pass
         assert path.exists()  # the refused one leaves the lock of the other
     assert not path.exists()
 
@@ -53,9 +53,9 @@ def test_the_lock_of_an_ended_process_is_taken_over_and_removed(ended, tmp_path)
 def test_the_lock_of_another_host_is_kept(ended, tmp_path):
     path = tmp_path / LOCK_FILE
     path.write_text(json.dumps({"pid": ended, "host": "elsewhere", "started": "1"}))
-    with pytest.raises(InputError, match=rf"process {ended} on host 'elsewhere'; .* has ended, remove .*{LOCK_FILE}"):
-        with folder_lock(tmp_path):
-            pass
+    message = rf"process {ended} on host 'elsewhere'; .* has ended, remove .*{LOCK_FILE}"
+    with pytest.raises(InputError, match=message), folder_lock(tmp_path):
+        pass
     assert path.exists()
 
 
@@ -97,9 +97,20 @@ def test_the_hash_is_of_values_files_and_options_but_not_of_the_number_of_trials
 
 def test_resume_and_force_exclude_each_other(tmp_path):
     identity = Identity("run", "cubesat", 7, "ab", {"trials": 4})
-    with pytest.raises(InputError, match="--resume and --force: use only one of them"):
-        with results_folder(tmp_path / "out", identity, resume=True, force=True):
-            pass
+    both = results_folder(tmp_path / "out", identity, resume=True, force=True)
+    with pytest.raises(InputError, match="--resume and --force: use only one of them"), both:
+        pass
     for options in ({}, {"resume": True}, {"force": True}):
         with results_folder(tmp_path / "out", identity, **options) as folder:
             assert (folder / LOCK_FILE).exists()
+
+
+def test_the_folder_of_a_study_has_its_identity(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scenario = Scenario.load("cubesat_ideal")
+    with study_folder("coverage", scenario, None, False, grid=3) as (folder, identity):
+        assert folder.resolve() == tmp_path / "out" / "cubesat_ideal-coverage"
+        assert identity == Identity("coverage", "cubesat_ideal", scenario.seed, scenario_sha256(scenario, grid=3), {})
+    with study_folder("budget", scenario, tmp_path / "other", True, {"trials": 4}) as (folder, identity):
+        assert folder == tmp_path / "other"
+        assert (identity.kind, identity.amounts) == ("budget", {"trials": 4})
