@@ -75,7 +75,10 @@ def test_what_is_no_state():
     for r_km, v_km_s in (([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]), ([np.nan, 0, 0], [1, 0, 0]), ([7e3, 0], [1, 0, 0])):
         with pytest.raises(InputError, match="no state of a spacecraft"):
             given.update(0.0, r_km, v_km_s)
+    assert given.period_s == math.inf
     given.update(0.0, [7e3, 0.0, 0.0], [0.0, 7.5, 0.0])
+    osculating_km = 1.0 / (2.0 / 7e3 - 7.5**2 / GM_KM3_S2["Earth"])  # on an axis: two coordinates are zero
+    assert given.period_s == pytest.approx(math.tau * math.sqrt(osculating_km**3 / GM_KM3_S2["Earth"]), rel=1e-12)
     with pytest.raises(InputError, match="within 10 s"):
         given.state(10.1)
     with pytest.raises(InputError, match="unknown centre 'Vulcan'"):
