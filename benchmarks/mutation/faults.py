@@ -57,7 +57,7 @@ class Fault:
     start, end : int
         Of the expression in the file, bytes.
     before, after : str
-        The expression, and what takes its place.
+        The expression, and what replaces it.
     """
 
     path: Path
@@ -92,12 +92,12 @@ def faults_of(path: Path, source: bytes) -> list[Fault]:
 
 
 class _Roles:
-    """Constants that need a change of another kind, or none, because of the place where they are."""
+    """Constants that need a change of another kind, or none, because of the role that they have."""
 
     def __init__(self, tree: ast.AST) -> None:
         self.indices: set[ast.expr] = set()
         """Positions along an axis: one beyond the last reads past the array, which no test can be asked to notice in a
-        kernel, so that a neighbour within the array takes its place."""
+        kernel, so that a neighbour within the array replaces it."""
         self.repeats: set[ast.expr] = set()
         """How often a loop without a variable runs, commonly until it converges: once more changes nothing by design,
         a single time is the mistake that matters."""
