@@ -39,7 +39,7 @@ _REVERSED: dict[type[ast.cmpop], ast.cmpop] = {
     ast.GtE: ast.Lt(),
 }
 _ROUNDING = 1e-9
-"""A decimal number below this in a comparison, a `max` or a `min` is a guard against rounding or a division by zero."""
+"""A decimal number up to this in a comparison, a `max` or a `min` is a guard against rounding or a division by zero."""
 _TEXT_ONLY = ("__repr__", "_repr_html_", "__str__")
 """Functions that only describe an object: their faults are not of the kind that is measured here."""
 
@@ -130,7 +130,7 @@ def _is_count(node: ast.expr) -> bool:
 
 
 def _is_rounding(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, float) and abs(node.value) < _ROUNDING
+    return isinstance(node, ast.Constant) and isinstance(node.value, float) and abs(node.value) <= _ROUNDING
 
 
 def _is_decimal(node: ast.expr) -> bool:
