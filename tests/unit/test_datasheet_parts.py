@@ -395,10 +395,3 @@ def test_other_pixels_and_noise_alone_change_the_detector_only(small):
     assert noise.detector.pattern is small.renderer.detector.pattern
     assert (noise.detector.parameters.prnu, noise.detector.parameters.dsnu) == (0.0, 0.0)
     assert small.renderer.detector.parameters.prnu == 0.01
-
-
-def test_the_half_width_needs_both_ends():
-    assert Estimate(2.0, 1.5, 3.0).half_width == 0.75
-    for size in (Estimate(2.0), Estimate(2.0, 1.5), Estimate(2.0, None, 3.0)):
-        assert size.half_width is None
-    assert Estimate(2.0, None, 3.0).times(2.0) == (4.0, None, 6.0)
