@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import datetime
 import os
 import random
+import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -46,16 +49,25 @@ class Copy:
         self._users = users_of_modules(folder)
 
     def passes(self, tests: Iterable[str], limit_s: float) -> bool:
-        """Whether the tests pass within a time."""
+        """Whether the tests pass within a time; tests that are killed, by the system or by a crash, do not."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *tests]
         environment = {"PYTHONPATH": str(self.folder), "PATH": "/usr/bin:/bin", "HOME": str(self.folder)}
-        try:
-            done = subprocess.run(
-                command, cwd=self.folder, env=environment, timeout=limit_s, capture_output=True, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return False
-        return done.returncode == 0
+        # a session of its own, so that programs which the tests started end with them, and Ctrl-C reaches only this one
+        with subprocess.Popen(
+            command,
+            cwd=self.folder,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        ) as tests_running:
+            try:
+                return tests_running.wait(limit_s) == 0
+            except subprocess.TimeoutExpired:
+                return False
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(tests_running.pid, signal.SIGKILL)
 
     def notices(self, fault: Fault, tests: Iterable[str], limit_s: float) -> bool:
         """Whether the tests fail with a fault; the copy is as before afterwards."""
@@ -135,25 +147,45 @@ def main() -> None:
     parser.add_argument("--seed", default="1", help="of the choice of faults")
     parser.add_argument("--out", type=Path, help="page to write, Markdown")
     given = parser.parse_args()
-    equivalent, results = known_equivalent(), {}
+    equivalent = known_equivalent()
+    results: dict[str, list[tuple[Fault, str]]] = {}
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        measure(given.area or list(AREAS), given.faults, given.seed, results)
+    except KeyboardInterrupt:
+        print("interrupted; the faults so far:")
+    text = page(results, given.seed, equivalent)
+    if given.out:
+        given.out.write_text(text, encoding="utf-8")
+    print(text)
+
+
+def measure(areas: Iterable[str], count: int, seed: str, results: dict[str, list[tuple[Fault, str]]]) -> None:
+    """Plant faults of each area, and add the outcomes to `results`, which has those so far if this is interrupted."""
+    equivalent = known_equivalent()
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
-        for name in given.area or AREAS:
+        for name in areas:
             tests = AREAS[name].test_files(ROOT)
             began = time.perf_counter()
             if not copy.passes(tests, 3600.0):
                 raise SystemExit(f"the tests of {name} fail without a fault: {' '.join(tests)}")
             limit_s = 60.0 + _SLOWER * (time.perf_counter() - began)
             results[name] = []
-            for fault in sample(AREAS[name], given.faults, f"{given.seed} {name}"):
-                noticed = copy.notices(fault, tests, limit_s)
+            for fault in sample(AREAS[name], count, f"{seed} {name}"):
+                noticed = copy.notices(fault, nearest_first(tests, fault), limit_s)
                 outcome = NOTICED if noticed else EQUIVALENT if str(fault) in equivalent else UNNOTICED
                 results[name].append((fault, outcome))
                 print(f"{name}: {outcome}: {fault}", flush=True)
-    text = page(results, given.seed, equivalent)
-    if given.out:
-        given.out.write_text(text, encoding="utf-8")
-    print(text)
+
+
+def nearest_first(tests: Iterable[str], fault: Fault) -> list[str]:
+    """Files of tests of an area and all others that import the module of a fault, these first: the run of a fault ends
+    at the first failure."""
+    package, name = ".".join(fault.path.parent.parts), fault.path.stem
+    imported = re.compile(rf"\b{re.escape(package)}(\.{name}\b| import .*\b{name}\b)")
+    near = [path for path in sorted(ROOT.glob("tests/*/test_*.py")) if imported.search(path.read_text("utf-8"))]
+    return list(dict.fromkeys([*(str(path.relative_to(ROOT)) for path in near), *tests]))
 
 
 def page(results: dict[str, list[tuple[Fault, str]]], seed: str, equivalent: dict[str, str]) -> str:
@@ -161,7 +193,8 @@ def page(results: dict[str, list[tuple[Fault, str]]], seed: str, equivalent: dic
     day = datetime.datetime.now(datetime.UTC).date()
     introduction = (
         f"`python -m benchmarks.mutation --seed {seed}`, {day}. One operator, constant or term of a guard is changed "
-        "at a time, drawn at random from all that an area has, and the area's tests run. "
+        "at a time, drawn at random from all that an area has; the area's tests run, and all others that import the "
+        "changed module. "
         "Faults that change nothing a user can observe do not count."
     )
     lines = [

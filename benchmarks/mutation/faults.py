@@ -32,6 +32,14 @@ _ARITHMETIC: dict[type[ast.operator], ast.operator] = {
     ast.Div: ast.Mult(),
 }
 _EXCHANGED = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
+_REVERSED: dict[type[ast.cmpop], ast.cmpop] = {
+    ast.Lt: ast.GtE(),
+    ast.LtE: ast.Gt(),
+    ast.Gt: ast.LtE(),
+    ast.GtE: ast.Lt(),
+}
+_ROUNDING = 1e-9
+"""A decimal number up to this in a comparison, a `max` or a `min` is a guard against rounding or a division by zero."""
 _TEXT_ONLY = ("__repr__", "_repr_html_", "__str__")
 """Functions that only describe an object: their faults are not of the kind that is measured here."""
 
@@ -49,7 +57,7 @@ class Fault:
     start, end : int
         Of the expression in the file, bytes.
     before, after : str
-        The expression, and what takes its place.
+        The expression, and what replaces it.
     """
 
     path: Path
@@ -73,12 +81,61 @@ def faults_of(path: Path, source: bytes) -> list[Fault]:
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
     found = []
-    for node in _expressions(ast.parse(source)):
+    tree = ast.parse(source)
+    roles = _Roles(tree)
+    for node in _expressions(tree):
         start = starts[node.lineno - 1] + node.col_offset
         end = starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
-        for changed in _changes(node):
+        for changed in _changes(node, roles):
             found.append(Fault(path, node.lineno, start, end, ast.unparse(node), ast.unparse(changed)))
     return found
+
+
+class _Roles:
+    """Constants that need a change of another kind, or none, because of the role that they have."""
+
+    def __init__(self, tree: ast.AST) -> None:
+        self.indices: set[ast.expr] = set()
+        """Positions along an axis: one beyond the last reads past the array, which no test can be asked to notice in a
+        kernel, so that a neighbour within the array replaces it."""
+        self.repeats: set[ast.expr] = set()
+        """How often a loop without a variable runs, commonly until it converges: once more changes nothing by design,
+        a single time is the mistake that matters."""
+        self.guards: set[ast.expr] = set()
+        """Guards against rounding: a tenth more changes nothing by design."""
+        for node in ast.walk(tree):
+            match node:
+                case ast.Subscript(slice=ast.Tuple(elts=parts)):
+                    self.indices.update(part for part in parts if _is_count(part))
+                case ast.Subscript(slice=part) if _is_count(part):
+                    self.indices.add(part)
+                case ast.For(target=ast.Name(id="_"), iter=ast.Call(func=ast.Name(id="range"), args=[count])):
+                    self.repeats.add(count)
+                case ast.Compare(left=left, comparators=others):
+                    self.guards.update(part for part in _parts([left, *others]) if _is_rounding(part))
+                case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name), args=parts) if name in _EXCHANGED:
+                    self.guards.update(part for part in _parts(parts) if _is_rounding(part))
+
+
+def _parts(nodes: list[ast.expr]) -> Iterator[ast.expr]:
+    """Expressions and the terms of their sums and products."""
+    for node in nodes:
+        yield node
+        if isinstance(node, ast.BinOp):
+            yield from _parts([node.left, node.right])
+
+
+def _is_count(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and type(node.value) is int
+
+
+def _is_rounding(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, float) and abs(node.value) <= _ROUNDING
+
+
+def _is_decimal(node: ast.expr) -> bool:
+    value = node.operand if isinstance(node, ast.UnaryOp) else node
+    return isinstance(value, ast.Constant) and isinstance(value.value, float) and value.value != 0.0
 
 
 def _expressions(tree: ast.AST) -> Iterator[ast.expr]:
@@ -101,11 +158,14 @@ def _is_left_out(node: ast.AST) -> bool:
     return isinstance(node, (ast.Import, ast.ImportFrom, ast.JoinedStr, ast.Raise, ast.Assert))
 
 
-def _changes(node: ast.expr) -> Iterator[ast.expr]:
+def _changes(node: ast.expr, roles: _Roles) -> Iterator[ast.expr]:
     match node:
-        case ast.Compare(ops=[operator]) if type(operator) in _COMPARISONS:
+        case ast.Compare(ops=[operator], left=left, comparators=[right]) if type(operator) in _COMPARISONS:
             changed = copy.deepcopy(node)
-            changed.ops = [_COMPARISONS[type(operator)]]
+            # next to no value is exactly a decimal number other than zero: whether the bound itself belongs to the
+            # range cannot be observed there, on which side the range lies can
+            decimal = type(operator) in _REVERSED and (_is_decimal(left) or _is_decimal(right))
+            changed.ops = [(_REVERSED if decimal else _COMPARISONS)[type(operator)]]
             yield changed
         case ast.BoolOp(op=operator, values=values):
             yield ast.BoolOp(ast.Or() if isinstance(operator, ast.And) else ast.And(), values)
@@ -114,6 +174,12 @@ def _changes(node: ast.expr) -> Iterator[ast.expr]:
             yield ast.BinOp(node.left, _ARITHMETIC[type(operator)], node.right)
         case ast.UnaryOp(op=ast.USub() | ast.Not(), operand=operand):
             yield operand
+        case ast.Constant() if node in roles.guards:
+            return
+        case ast.Constant(value=value) if node in roles.repeats:
+            yield from (ast.Constant(1),) if value != 1 else ()
+        case ast.Constant(value=int(value)) if node in roles.indices:
+            yield ast.Constant(value - 1 if value > 0 else 1)
         case ast.Constant(value=float(value)) if value != 0.0:
             yield ast.Constant(1.1 * value)
         case ast.Constant(value=bool(value)):

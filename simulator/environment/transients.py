@@ -70,7 +70,7 @@ class Transients:
         self._galactic = GalacticCosmicRays(environment.solar, estimate) if environment.galactic else None
         self._proton_mev = np.minimum(shield.incident_proton_mev(BEHIND_MEV, environment.shield_mm), 400.0)
         least = shield.least_electron_mev(environment.shield_mm)
-        self._electron_mev = np.array([max(least, 0.04)]) if least < ELECTRON_MEV[-1] else np.empty(0)
+        self._electron_mev = np.array([max(least, ELECTRON_MEV[0])]) if least < ELECTRON_MEV[-1] else np.empty(0)
         self._least_gv = float(proton_rigidity_gv(self._proton_mev[0]))
         self._charges = proton_charge_e_um(np.sqrt(BEHIND_MEV[1:] * BEHIND_MEV[:-1]))
 

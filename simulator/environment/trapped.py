@@ -55,8 +55,8 @@ PROTON_MEV = np.array(
         400.0,
     ]
 )
-ELECTRON_MEV = np.concatenate([[0.04, 0.07], np.arange(1, 10) / 10.0, np.arange(4, 29) / 4.0])
-"""Energies of spectra; the maps end at 400 and 7 MeV."""
+ELECTRON_MEV = np.concatenate([[0.05, 0.07], np.arange(1, 10) / 10.0, np.arange(4, 29) / 4.0])
+"""Energies of spectra; the maps end at 400 and 7 MeV. IRBEM gives no electrons, rather than more, below 0.05 MeV."""
 
 _BLOCK = 4096
 
@@ -100,7 +100,7 @@ class TrappedBelts:
         proton_mev : (P,) array
             0.1 to 400 MeV.
         electron_mev : (E,) array
-            0.04 to 7 MeV; may be empty.
+            0.05 to 7 MeV; may be empty.
         """
         parts = []
         for start in range(0, len(itrs_km), _BLOCK):

@@ -478,6 +478,13 @@ def test_aem_of_the_first_version_with_both_orders(order, kind, tmp_path):
     np.testing.assert_allclose(found_at(path, BETWEEN_S), body(BETWEEN_S), rtol=0, atol=5e-7)
 
 
+def test_aem_of_angles_and_rates_of_the_first_version(tmp_path):
+    """Six numbers a line, the last three of which that version leaves undefined: they are read and not used."""
+    rows = np.hstack([angles_of(body(T_S), "ZYX"), np.full((len(T_S), 3), 99.0)])
+    path = aem(tmp_path, "EULER_ANGLE/RATE", rows, version="1.0", EULER_ROT_SEQ="321")
+    np.testing.assert_allclose(found_at(path, T_S), body(T_S), rtol=0, atol=1e-9)
+
+
 def test_aem_in_xml_of_the_first_version(tmp_path):
     """505.0-B-1: ``rotationAngles`` with ``rotation1`` to ``rotation3``, whose axes are those of the sequence."""
     rows = angles_of(body(T_S), "ZYX")

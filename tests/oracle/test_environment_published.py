@@ -20,6 +20,7 @@ from simulator.environment.galactic import PROTON, GalacticCosmicRays, cutoff_gv
 from simulator.environment.parameters import Environment
 from simulator.environment.transients import Transients
 from simulator.environment.trapped import TrappedBelts, _above
+from simulator.mission.frames import itrs_km
 
 aep8 = pytest.importorskip("aep8")
 units = pytest.importorskip("astropy.units")
@@ -335,3 +336,32 @@ def test_flux_of_galactic_protons_is_the_integral_over_all_directions():
     # 0.1 %: the trapezoidal rule on the 1,201 points of the table
     assert rays.flux_cm2_s(far, least_gv)[0][0] == pytest.approx(omnidirectional, rel=1e-3)
     assert rays.flux_cm2_s(near, least_gv)[0][0] == pytest.approx(0.5 * omnidirectional, rel=1e-3)
+
+
+def test_electrons_without_a_shield_are_those_from_the_edge_of_the_map():
+    """IRBEM gives the electrons of AE-8 from 0.05 MeV, and none at all above a smaller energy: half of the
+    omnidirectional flux above the least energy crosses a plane that nothing shields."""
+    orbit = build_orbit(Scenario.load("cubesat_ideal"))
+    t_s, r_km = np.zeros(1), np.array([[0.0, 9000.0, 0.0]])
+    environment = Environment(trapped="ap8", shield_mm=0.0)
+    crossing = Transients(environment, orbit.clock).flux(t_s, r_km).trapped_electrons
+    year, positions = float(orbit.clock.jyear(0.0)), itrs_km(orbit.clock, t_s, r_km)
+    belts, energies = TrappedBelts(environment.solar), np.array([0.05, 0.055, 0.1])
+    _, above = belts.fluxes(positions, year, np.array([10.0]), energies)
+    assert 1e6 < above[0, 2] < above[0, 1] < 0.99 * above[0, 0]
+    assert crossing[0] == pytest.approx(0.5 * above[0, 0], rel=1e-9)
+    _, spectrum = belts.mean_spectra(positions, year)
+    assert np.all(np.diff(spectrum.above) <= 0.0)
+    assert spectrum.above[0] == pytest.approx(above[0, 0], rel=1e-9)
+
+
+def test_groups_of_trapped_protons_have_the_energies_behind_the_shield():
+    """Protons that have 0.5, 5, 15, 40, 100 and 400 MeV behind no shield are the differences of AP-8 between those."""
+    orbit = build_orbit(Scenario.load("cubesat_ideal"))
+    t_s, r_km = np.zeros(1), np.array([[0.0, 9000.0, 0.0]])
+    environment = Environment(trapped="ap8", shield_mm=0.0)
+    groups = Transients(environment, orbit.clock).flux(t_s, r_km).trapped_protons[0]
+    energies = np.array([0.5, 5.0, 15.0, 40.0, 100.0, 400.0])
+    year, positions = float(orbit.clock.jyear(0.0)), itrs_km(orbit.clock, t_s, r_km)
+    above, _ = TrappedBelts(environment.solar).fluxes(positions, year, energies, np.empty(0))
+    assert groups == pytest.approx(-0.5 * np.diff(above[0]), rel=1e-9)

@@ -2,6 +2,7 @@
 
 import math
 from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -429,3 +430,32 @@ def test_a_damaged_list_is_an_error_of_the_scenario_with_file_and_line(listed, t
         load_scenario("cubesat_ideal", [f"sky.satellites.file={path}"])
     with pytest.raises(InputError, match=r"missing.tle: cannot be read"):
         load_scenario("cubesat_ideal", [f"sky.satellites.file={tmp_path / 'missing.tle'}"])
+
+
+def test_a_satellite_that_passes_closer_than_its_path_is_near():
+    """Within the distance that it covers during the exposure its direction turns by up to 90°: at 2 km, with 10 km/s,
+    it is listed across the boresight in 0.5 s, and 30° from it at most in 0.1 s; those at 1000 km are not, nor the
+    spacecraft itself."""
+    from simulator.mission.trajectory import States
+    from simulator.sky.satellites import Look, SatelliteList
+
+    class Rows(SatelliteList):
+        def _seen(self, rows, *_):
+            return rows.tolist()
+
+    def states(r_km, v_km_s):
+        return lambda t_s: States(np.array(r_km, dtype=float), np.array(v_km_s, dtype=float))
+
+    own = states([[42000.0, 0.0, 0.0]], [[0.0, 3.0, 0.0]])
+    others = SimpleNamespace(
+        states=states(
+            [[[42002.0, 0.0, 0.0]], [[43000.0, 0.0, 0.0]], [[41000.0, 0.0, 0.0]], [[42000.0, 0.0, 0.0]]],
+            [[[0.0, -7.0, 0.0]]] * 4,
+        )
+    )
+    satellites = Rows(others, np.zeros(4), np.full(4, 1e-3))
+    direction = np.array([0.0, 0.0, 1.0])
+    look = Look(0.0, 0.5, own, (0.0, 1.0), np.zeros(3), np.array([0.0, 1.5e8, 0.0]), direction, 0.1)
+    dark = SimpleNamespace(earth=False)
+    assert satellites.near(look, dark) == [0]
+    assert satellites.near(look._replace(exposure_s=0.1), dark) == []

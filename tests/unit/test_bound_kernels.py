@@ -30,6 +30,7 @@ def test_images_and_slopes_are_differences_of_images_of_the_renderer(renderer):
     psf = renderer.focal_plane.psfs.psf()
     paths, weights = rng.uniform(-2.0, 2.0, (7, 3, 2)), np.array([0.25, 0.5, 0.25])
     paths[0, 1] = np.nan  # a moment that leaves no light
+    paths[2, 0, 0] = paths[3, 2, 1] = np.nan
     paths[1] += 9.0  # a star off its own image
     half, step = 5, bounds._STEP_PX
     found = bounds.image_slopes(psf, paths, weights, half)

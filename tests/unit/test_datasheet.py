@@ -253,3 +253,10 @@ def test_the_acceleration_begins_with_a_share_of_the_greatest_that_frames_can_fo
     found = _greatest_acceleration(SCENARIO, runner, AMOUNTS, rate_deg_s)
     assert runner.accelerations[0] == pytest.approx(FIRST_SHARE * highest, rel=1e-12)
     assert found.estimate.value == pytest.approx(0.08, rel=1e-5)
+
+
+def test_the_half_width_needs_both_ends() -> None:
+    assert Estimate(2.0, 1.5, 3.0).half_width == 0.75
+    for size in (Estimate(2.0), Estimate(2.0, 1.5), Estimate(2.0, None, 3.0)):
+        assert size.half_width is None
+    assert Estimate(2.0, None, 3.0).times(2.0) == (4.0, None, 6.0)

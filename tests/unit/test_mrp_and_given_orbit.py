@@ -1,5 +1,9 @@
 """Basilisk's attitude parameters against SciPy, and a trajectory that is given state by state."""
 
+import math
+from datetime import UTC, datetime
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +13,8 @@ from simulator.mission.clock import Clock
 from simulator.mission.elliptic import EllipticOrbit
 from simulator.mission.given import GivenTrajectory
 from simulator.mission.kepler import Elements
+from simulator.mission.tabulated import RESOLUTION_S, Segment, TabulatedTrajectory
+from simulator.mission.trajectory import GM_KM3_S2
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from startracker.errors import InputError
@@ -69,7 +75,10 @@ def test_what_is_no_state():
     for r_km, v_km_s in (([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]), ([np.nan, 0, 0], [1, 0, 0]), ([7e3, 0], [1, 0, 0])):
         with pytest.raises(InputError, match="no state of a spacecraft"):
             given.update(0.0, r_km, v_km_s)
+    assert given.period_s == math.inf
     given.update(0.0, [7e3, 0.0, 0.0], [0.0, 7.5, 0.0])
+    osculating_km = 1.0 / (2.0 / 7e3 - 7.5**2 / GM_KM3_S2["Earth"])  # on an axis: two coordinates are zero
+    assert given.period_s == pytest.approx(math.tau * math.sqrt(osculating_km**3 / GM_KM3_S2["Earth"]), rel=1e-12)
     with pytest.raises(InputError, match="within 10 s"):
         given.state(10.1)
     with pytest.raises(InputError, match="unknown centre 'Vulcan'"):
@@ -92,3 +101,25 @@ def test_frames_of_a_given_trajectory_are_those_of_the_orbit_itself():
     np.testing.assert_array_equal(again.observer.velocity_km_s, frame.observer.velocity_km_s)
     assert other.changed({"detector.read_noise_e": 5.0}).scenes.orbit is given
     assert other.changed({"sky.magnitude_limit": 6.0}).scenes.orbit is given
+
+
+@pytest.mark.parametrize(
+    ("first_s", "last_s", "at_s"), [(-50.0, 50.0, 0.0), (100.0, 200.0, 100.0), (-90.0, -20.0, -20.0)]
+)
+def test_the_period_of_a_table_is_that_at_the_epoch_or_at_its_nearest_end(first_s, last_s, at_s):
+    """States on circles that grow with time: T = 2π √(a³/μ) at the epoch, or the end of the span next to it."""
+
+    def radius_km(t_s):
+        return 7000.0 + np.asarray(t_s)
+
+    def state(t_s):
+        r_km = radius_km(t_s)
+        zero = np.zeros_like(r_km)
+        return np.stack([r_km, zero, zero, zero, np.sqrt(GM_KM3_S2["Earth"] / r_km), zero], axis=1)
+
+    clock = Clock(datetime(2026, 3, 21, tzinfo=UTC))
+    segment = Segment(first_s, last_s, "Earth", "icrf", SimpleNamespace(state=state))
+    orbit = TabulatedTrajectory.of([segment], clock, "states")
+    assert orbit.span_s == (first_s - RESOLUTION_S, last_s + RESOLUTION_S)
+    expected = 2.0 * math.pi * math.sqrt(radius_km(at_s) ** 3 / GM_KM3_S2["Earth"])
+    assert orbit.period_s == pytest.approx(expected, rel=1e-6)

@@ -7,7 +7,8 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from simulator.mission.orbit import PROPAGATORS, Orbit, build_orbit
+from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
+from simulator.mission.orbit import PROPAGATORS, CircularElements, Orbit, _kozai_mean_motion, build_orbit
 from simulator.mission.parameters import OrbitParameters
 from startracker.errors import InputError
 
@@ -103,3 +104,18 @@ def test_high_orbit_goes_through_the_deep_space_branch():
     j2, sgp4 = (build_orbit(OrbitParameters(**section, propagator=name), EPOCH) for name in PROPAGATORS)
     # Sun and Moon move a semi-synchronous orbit by some km a day
     assert np.linalg.norm(j2.state(3600.0)[0] - sgp4.state(3600.0)[0]) < 20.0
+
+
+@pytest.mark.parametrize(("altitude_km", "inclination_deg"), [(300.0, 0.0), (300.0, 90.0), (1400.0, 28.5)])
+def test_the_first_step_of_sgp4_gives_brouwer_s_mean_motion_back(altitude_km, inclination_deg):
+    """Hoots & Roehrich 1980, section 6: n₀'' = n₀ / (1 + δ₀), a₀ = a₁ (1 − δ₁/3 − δ₁² − 134/81 δ₁³). To 2e-14, some
+    roundings; the smallest term is 3e-12 of the mean motion at the equator."""
+    elements = CircularElements(EARTH_RADIUS_KM + altitude_km, math.radians(inclination_deg), 0.3, 0.2)
+    kozai = _kozai_mean_motion(elements)
+    brouwer = math.sqrt(EARTH_GM_KM3_S2 / elements.semi_major_axis_km**3)
+    a1 = (EARTH_GM_KM3_S2 / kozai**2) ** (1.0 / 3.0) / EARTH_RADIUS_KM
+    k2 = 0.5 * EARTH_J2
+    shape = 3.0 * math.cos(elements.inclination_rad) ** 2 - 1.0
+    delta1 = 1.5 * k2 / a1**2 * shape
+    a0 = a1 * (1.0 - delta1 / 3.0 - delta1**2 - 134.0 / 81.0 * delta1**3)
+    assert kozai / (1.0 + 1.5 * k2 / a0**2 * shape) == pytest.approx(brouwer, rel=2e-14, abs=0.0)

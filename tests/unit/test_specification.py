@@ -12,7 +12,16 @@ from simulator.scenario import Scenario
 from simulator.study.specification.measured import Measured, Setting, setting_of
 from simulator.study.specification.predicted import Predicted, across_percentile, axis_percentile
 from simulator.study.specification.requirements import Requirement, Specification, specification_of
-from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Estimate, Verdict, frames_needed, judge
+from simulator.study.specification.verdicts import (
+    MET,
+    NOT_MET,
+    UNDECIDED,
+    Estimate,
+    Judgement,
+    Verdict,
+    frames_needed,
+    judge,
+)
 from startracker.geometry.attitude import radec_to_direction
 
 ARCSEC = 1 / 3600
@@ -95,6 +104,30 @@ def test_frames_needed_by_the_exact_formulas():
 )
 def test_verdict_by_the_interval(requirement, estimate, expected):
     assert Verdict(requirement, estimate).verdict == expected
+
+
+def test_advice_is_the_number_of_frames_that_the_last_open_requirement_needs():
+    """Of the requirements that are open, the one with the fewest frames and the one that needs the most decide; one
+    about which nothing is known gives no number, and a decided specification no advice."""
+    roll, share = Requirement("roll", 1.0, 99.7, "roll"), Requirement("wrong_rate", 0.01)
+    needed = frames_needed(roll)
+    assert needed > frames_needed(share)
+
+    def advice(*frames, **more):
+        estimates = [Estimate(0.9, 0.8, None, frames[0]), Estimate(0.0, 0.0, 0.02, frames[1])]
+        open_ones = [Verdict(each, size) for each, size in zip((roll, share), estimates, strict=True)]
+        return Judgement(tuple(open_ones), "measured", "trials", **more).advice
+
+    assert advice(needed - 1, needed + 1) == f"run at least {needed} trials to decide"
+    assert advice(needed + 1, needed - 1) == f"run at least {needed} trials to decide"
+    assert advice(needed, needed) == advice(needed + 9, needed + 1) == "run more trials to decide"
+    assert advice(9, 9, wrong=1, untested=("none",)).startswith("run at least")  # wrong ones have a limit of their own
+    unknown = Verdict(roll, Estimate(None, None, None, 0, "not predicted"))
+    met = Verdict(share, Estimate(0.0, 0.0, 0.005, 900))
+    assert Judgement((unknown, met), "predicted", "trials").advice == ""
+    assert Judgement((met,), "measured", "trials").advice == ""
+    both = Judgement((unknown, Verdict(share, Estimate(0.0, 0.0, 0.02, 9))), "measured", "frames")
+    assert both.advice == f"run at least {frames_needed(share)} frames to decide"
 
 
 def test_percentile_interval_of_frames_is_the_exact_binomial_one():

@@ -80,9 +80,12 @@ def test_no_stars_no_bound():
     assert math.isnan(row["limit_mag"])
 
 
-def shifted_row(shift_arcsec, sigma_scale=1.0, renamed=False):
-    """Row of a trial whose solution is turned about the camera's x axis, its covariance scaled, or a star renamed."""
+def shifted_row(shift_arcsec, sigma_scale=1.0, renamed=False, same_catalog=True):
+    """Row of a trial whose solution is turned about the camera's x axis, its covariance scaled, or a star renamed; as
+    if sky and tracker had catalogues of their own, whose numbers cannot be compared, if not `same_catalog`."""
     runner = TrialRunner(Scenario.load("cubesat_ideal", overrides=SMALL))
+    assert runner.same_catalog
+    runner.same_catalog = same_catalog
     frame, truth = runner.renderer.frame(0)
     solution = solve_frame(runner.tracker, frame)
     turn = Attitude.from_matrix(Rotation.from_rotvec([math.radians(shift_arcsec / 3600.0), 0.0, 0.0]).as_matrix())
@@ -121,6 +124,9 @@ def test_a_misidentified_star_makes_a_trial_wrong():
     row = shifted_row(0.0, renamed=True)
     assert row["stars_misidentified"] == 1
     assert (row["misidentified"], row["inconsistent"], row["wrong"]) == (True, False, True)
+    row = shifted_row(0.0, renamed=True, same_catalog=False)
+    assert row["stars_misidentified"] == 0
+    assert (row["misidentified"], row["inconsistent"], row["wrong"]) == (False, False, False)
 
 
 def test_the_limit_of_consistency_is_5_sigma():
