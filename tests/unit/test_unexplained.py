@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -109,11 +110,26 @@ def test_the_roll_is_found_about_the_pleiades(tracker, identifier, focal):
         assert not solution.prior_contradicted
 
 
-def test_tracking_finds_the_roll_about_the_pleiades(tracker):
-    xy, flux = field(tracker, PLEIADES, WRONG_FOCAL, np.random.default_rng(4))
+@pytest.fixture(scope="module")
+def pleiades_list():
+    """A list of the same field, without its observer."""
+    return np.loadtxt(Path(__file__).parent / "data" / "pleiades_knot.csv")
+
+
+@pytest.mark.parametrize("identifier", ["adaptive", "pyramid", "match_groups", "pattern_hash"])
+def test_a_list_whose_first_attitude_hangs_on_the_knot_is_solved(pleiades_list, identifier):
+    chosen = StarTracker(CAMERA, magnitude_limit=6.5, identifier=identifier)
+    for sigma_px in (0.1, None):
+        solution = chosen.solve_centroids(pleiades_list[:, :2], pleiades_list[:, 2], sigma_px=sigma_px)
+        assert solution.solved
+        assert solution.matched == 70
+        assert is_right(solution, PLEIADES)
+
+
+def test_tracking_finds_the_roll_about_the_pleiades(tracker, pleiades_list):
     session = TrackingSession(tracker)
     session.reset(PLEIADES, 0.3)
-    solution = session.update_centroids(xy, flux, 0.0, observer=Observer(tracker.guide.epoch_jyear, np.zeros(3)))
+    solution = session.update_centroids(pleiades_list[:, :2], pleiades_list[:, 2], 0.0)
     assert solution.solved
     assert is_right(solution, PLEIADES)
 
