@@ -307,8 +307,8 @@ class StarTracker:
     def _checked(
         self, found: Identification, observed: Observed, field: Field, prior: Prior | None, clock: Clock
     ) -> Solution:
-        """Solution of an identification. If there is a `reason_to_refuse` it, the place in the sky may still be right:
-        then the attitude about its stars that is accepted, or none."""
+        """Solution of an identification. If there is a `reason_to_refuse` it, its position in the sky may still be
+        right: then the attitude about its stars that is accepted, or none."""
         solution, fit = solution_of(found, field, self.camera, self._estimate, clock)
         refusal = self._refusal(solution, fit, field)
         if not refusal:

@@ -1,4 +1,4 @@
-"""Attitudes about a knot of stars: the place in the sky is right, and roll and scale are searched for again.
+"""Attitudes about a knot of stars: its position in the sky is right, and roll and scale are searched for again.
 
 A knot of stars, such as the Pleiades, fixes the direction of its centre, but neither the roll nor the focal length. If
 the attitude it gave leaves the bright stars elsewhere unexplained, one more star is enough: the centre of the knot and
