@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +16,7 @@ from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
 from startracker.arguments import real_number
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import as_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
@@ -25,25 +24,27 @@ from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.field_fit import Estimator, takes_field
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
+from startracker.field_solution import Field, solution_of
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, find_stars
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.given_centroids import stated_variance, usable_centroids
 from startracker.given_image import given_image, prior_of
+from startracker.identification.about_knot import about_knot
 from startracker.identification.acceptance import accepts, is_beyond_doubt
 from startracker.identification.around_prior import identify_around
 from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.records import changed, made
-from startracker.refine import Measured, Refined
-from startracker.refine_stars import refine_stars, selected, stated_errors
+from startracker.records import changed
+from startracker.refine import Measured
+from startracker.refine_stars import selected, stated_errors
 from startracker.registry import lookup
 from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
-from startracker.solution import MatchedStars, Solution, Status
+from startracker.solution import Solution, Status
 from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps
 from startracker.unexplained import Fitted, reason_to_refuse
@@ -294,39 +295,45 @@ class StarTracker:
             unsolved = self._unsolved(found.status, found.reason, clock, stars.xy)
             chance, operations = found.log_false_alarm, found.operations
             return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
-        pairs = found.pairs
-        if len(usable) < len(stars.xy):
-            pairs = np.stack([usable[pairs[:, 0]], pairs[:, 1]], axis=1)
-        camera, free = self.camera, found.focal != 1.0
-        if free:
-            camera = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
+        field = Field(stars, usable, directions, guide, observer)
         try:
-            known = None if free else directions
-            refined, bodies = refine_stars(pairs, stars, camera, guide, self._estimate, known, observer)
+            solution = self._checked(found, observed, field, prior, clock)
         except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
             reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
-        solution = self._solved(found, refined, stars, guide, observer, clock)
-        solution = changed(solution, steps=tried, prior_contradicted=contradicted, bodies=bodies)
-        return self._checked(solution, refined, stars, guide, clock)
+        contradicted = contradicted or solution.prior_contradicted
+        return changed(solution, steps=Steps(tried, solution.steps), prior_contradicted=contradicted)
 
     def _checked(
-        self, solution: Solution, refined: Refined, stars: Measured, guide: GuideDatabase, clock: Clock
+        self, found: Identification, observed: Observed, field: Field, prior: Prior | None, clock: Clock
     ) -> Solution:
-        """The solution, or one without an attitude if there is a `reason_to_refuse` it."""
-        fit = Fitted(refined.pairs[refined.used], refined.residual_px[refined.used], refined.matrix, refined.camera)
+        """Solution of an identification. If there is a `reason_to_refuse` it, its position in the sky may still be
+        right: then the attitude about its stars that is accepted, or none."""
+        solution, fit = solution_of(found, field, self.camera, self._estimate, clock)
+        refusal = self._refusal(solution, fit, field)
+        if not refusal:
+            return solution
+        again = about_knot(found, observed, field.guide, self.identification)
+        tried = Step("identification", f"but {refusal}"), *(Step("identification", text) for text in again.steps)
+        steps = Steps(partial(attitude_steps, solution), tried)
+        if again.status is Status.SOLVED:
+            other, fit = solution_of(again, field, self.camera, self._estimate, clock)
+            if not self._refusal(other, fit, field):
+                outside = prior is not None and not prior.allows(fit.matrix)
+                return changed(other, steps=steps, prior_contradicted=outside)
+        refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {refusal}", clock, field.stars.xy)
+        chance = solution.log_false_alarm
+        return replace(refused, steps=steps, operations=again.operations, log_false_alarm=chance)
+
+    def _refusal(self, solution: Solution, fit: Fitted, field: Field) -> str:
+        """Why a solution is refused (`reason_to_refuse`); empty if it is not."""
+        stars, guide = field.stars, field.guide
 
         def identify(rows: IntArray) -> IntArray:
             observed, _, _ = self._observed(selected(stars, rows))
             return self._identify(observed, guide, self.identification, None).pairs[:, 1]
 
-        reason = reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, solution.bodies.centroid, identify)
-        if not reason:
-            return solution
-        refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {reason}", clock, stars.xy)
-        steps = (*solution.steps, *attitude_steps(solution))
-        chance = solution.log_false_alarm
-        return replace(refused, steps=steps, operations=solution.operations, log_false_alarm=chance)
+        return reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, solution.bodies.centroid, identify)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""
@@ -346,50 +353,6 @@ class StarTracker:
         signal = None if stars.flux is None else stars.flux[usable[:most]]
         return Observed(vectors[:most], signal, sigma[:most]), usable, directions
 
-    def _solved(
-        self,
-        found: Identification,
-        refined: Refined,
-        measured: Measured,
-        guide: GuideDatabase,
-        observer: Observer | None,
-        clock: Clock,
-    ) -> Solution:
-        used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
-        if measured.variance_px2 is None:
-            sigma_px = filled(len(used), math.nan)
-        else:
-            floor_px = guide.catalog.position_sigma_rad / self.camera.pixel_rad
-            sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
-        stars = made(
-            MatchedStars,
-            xy=measured.xy[used],
-            catalog_id=guide.catalog.id[chosen],
-            name=guide.catalog.star_name[chosen],
-            v_mag=guide.v_mag[chosen],
-            flux=filled(len(used), math.nan) if measured.flux is None else measured.flux[used],
-            residual_px=refined.residual_px,
-            used=refined.used,
-            sigma_px=sigma_px,
-        )
-        clock.lap("attitude")
-        return made(
-            Solution,
-            status=Status.SOLVED,
-            reason=found.reason + _focal_correction(refined.camera.fx / self.camera.fx),
-            attitude=Attitude.from_matrix(refined.matrix),
-            covariance=refined.covariance,
-            stars=stars,
-            centroids=measured.xy,
-            fov_deg=refined.camera.fov_deg,
-            parity=self.camera.parity,
-            times_ms=clock.times_ms(),
-            camera=refined.camera,
-            log_false_alarm=found.log_false_alarm,
-            operations=found.operations,
-            observer=observer,
-        )
-
     def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
         points = np.empty((0, 2)) if xy is None else xy
         return Solution(
@@ -401,7 +364,3 @@ class StarTracker:
             times_ms=clock.times_ms(),
             camera=self.camera,
         )
-
-
-def _focal_correction(factor: float) -> str:
-    return "" if factor == 1.0 else f"; the focal length is {factor:.4f} times the camera's"

@@ -215,7 +215,7 @@ class HypothesisPool:
 
     def add(self, hypothesis: Hypothesis | None) -> None:
         """Add a verified hypothesis; one that repeats another replaces it only if it is better."""
-        if hypothesis is None or not self._allowed(hypothesis):
+        if hypothesis is None or not (self.prior is None or self.prior.allows(hypothesis.matrix)):
             return
         for k, known in enumerate(self.hypotheses):
             if known.agrees_with(hypothesis):
@@ -244,12 +244,6 @@ class HypothesisPool:
     def decided(self) -> bool:
         """Whether the best one is so far beyond the limit that no other can compete."""
         return bool(self.hypotheses) and self.log_chance < self.limit - SURE_BEYOND
-
-    def _allowed(self, hypothesis: Hypothesis) -> bool:
-        if self.prior is None:
-            return True
-        turn = hypothesis.matrix @ self.prior.attitude.as_matrix().T
-        return bool((np.trace(turn) - 1.0) / 2.0 >= math.cos(min(self.prior.radius_rad * 1.05, math.pi)))
 
     def judge(self, observed: Observed) -> Identification:
         """Solved, ambiguous, no match, or ended by the limit on operations, with the reason in words."""

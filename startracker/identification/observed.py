@@ -81,6 +81,11 @@ class Prior:
     attitude: Attitude
     radius_rad: float
 
+    def allows(self, matrix: FloatArray) -> bool:
+        """Whether an attitude (3, 3) is within that angle, or a twentieth more."""
+        turn = matrix @ self.attitude.as_matrix().T
+        return bool((np.trace(turn) - 1.0) / 2.0 >= math.cos(min(self.radius_rad * 1.05, math.pi)))
+
 
 @dataclass(frozen=True, eq=False)
 class Identification:

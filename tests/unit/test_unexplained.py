@@ -1,6 +1,8 @@
-"""An accepted attitude explains the bright stars: knots of stars, torn images, and what may be hidden or added."""
+"""An accepted attitude explains the bright stars: knots and what is about them, torn images, hidden and added stars."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,10 @@ from benchmarks.doubtful_lists import CLUSTERS, NOISE_PX, _sky, camera_of, doubt
 from benchmarks.integrity import is_wrong, solve
 from simulator import Renderer, Scenario
 from startracker import Attitude, Camera, Observer, StarTracker, Status, TrackingSession
+from startracker.geometry.attitude import radec_to_direction
+from startracker.identification.about_knot import about_knot
 from startracker.identification.hypothesis import verify
-from startracker.identification.observed import Observed
+from startracker.identification.observed import Identification, Observed
 from startracker.unexplained import LARGEST_CONTRAST, is_part_hidden, unexplained_of
 
 CAMERA = Camera.from_fov(15.0, 1024, 1024)
@@ -83,17 +87,107 @@ def test_a_guide_star_beside_a_star_counts_as_neither():
 
 
 # ---------------------------------------------------------------------- knots
-@pytest.mark.parametrize("identifier", ["adaptive", "pyramid", "match_groups"])
-def test_the_pleiades_do_not_fix_the_roll(tracker, identifier):
-    """The focal length is 2.4 % wrong: only the knot fits, with any roll. Right or refused."""
-    xy, flux = field(tracker, PLEIADES, WRONG_FOCAL, np.random.default_rng(4))
-    named = StarTracker(CAMERA, magnitude_limit=6.5, identifier=identifier)
-    observer = Observer(named.guide.epoch_jyear, np.zeros(3))
+def is_right(solution, attitude):
+    """Within 3 standard errors (probability 97 % for each attitude) or 0.02°, 1.4 pixels."""
+    error = attitude.rotation_vector_to(solution.attitude)
+    sigmas = math.sqrt(error @ np.linalg.solve(solution.covariance, error))
+    return sigmas < 3.0 or off_deg(solution, attitude) < 0.02
+
+
+@pytest.mark.parametrize("identifier", ["adaptive", "pyramid", "match_groups", "pattern_hash"])
+@pytest.mark.parametrize("focal", [WRONG_FOCAL, 0.98])
+def test_the_roll_is_found_about_the_pleiades(tracker, identifier, focal):
+    """The focal length is 2 % wrong: only the knot fits, with any roll, until the other stars give it."""
+    xy, flux = field(tracker, PLEIADES, focal, np.random.default_rng(4))
+    chosen = StarTracker(CAMERA, magnitude_limit=6.5, identifier=identifier)
+    observer = Observer(chosen.guide.epoch_jyear, np.zeros(3))
     for prior in (None, PLEIADES)[: 2 if identifier == "adaptive" else 1]:
-        solution = named.solve_centroids(xy, flux, sigma_px=0.1, observer=observer, prior=prior)
-        if solution.solved:
-            assert off_deg(solution, PLEIADES) < 0.05
-            assert solution.matched > 60
+        solution = chosen.solve_centroids(xy, flux, sigma_px=0.1, observer=observer, prior=prior)
+        assert solution.solved
+        assert is_right(solution, PLEIADES)
+        assert solution.matched > 60
+        assert solution.camera.fx == CAMERA.fx or solution.camera.fx == pytest.approx(focal * CAMERA.fx, rel=5e-4)
+        assert not solution.prior_contradicted
+
+
+@pytest.fixture(scope="module")
+def pleiades_list():
+    """A list of the same field, without its observer."""
+    return np.loadtxt(Path(__file__).parent / "data" / "pleiades_knot.csv")
+
+
+@pytest.mark.parametrize("identifier", ["adaptive", "pyramid", "match_groups", "pattern_hash"])
+def test_a_list_whose_first_attitude_hangs_on_the_knot_is_solved(pleiades_list, identifier):
+    chosen = StarTracker(CAMERA, magnitude_limit=6.5, identifier=identifier)
+    for sigma_px in (0.1, None):
+        solution = chosen.solve_centroids(pleiades_list[:, :2], pleiades_list[:, 2], sigma_px=sigma_px)
+        assert solution.solved
+        assert solution.matched == 70
+        assert is_right(solution, PLEIADES)
+
+
+def test_tracking_finds_the_roll_about_the_pleiades(tracker, pleiades_list):
+    session = TrackingSession(tracker)
+    session.reset(PLEIADES, 0.3)
+    solution = session.update_centroids(pleiades_list[:, :2], pleiades_list[:, 2], 0.0)
+    assert solution.solved
+    assert is_right(solution, PLEIADES)
+
+
+@pytest.mark.parametrize("cluster", ["Hyades", "Praesepe"])
+def test_other_clusters_with_wrong_focal_lengths_are_right_or_refused(tracker, cluster):
+    """Focal lengths off by 1 to 2.5 %, the cluster anywhere in the field; most of the 24 are solved."""
+    rng, solved = np.random.default_rng(8), 0
+    for _ in range(24):
+        ra, dec = np.array(CLUSTERS[cluster]) + rng.uniform(-5.0, 5.0, 2)
+        attitude = Attitude.from_radec_roll(ra, dec, rng.uniform(0.0, 360.0))
+        xy, flux = field(tracker, attitude, 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.01, 0.025), rng)
+        solution = tracker.solve_centroids(
+            xy, flux, sigma_px=0.1, observer=Observer(tracker.guide.epoch_jyear, np.zeros(3))
+        )
+        solved += solution.solved
+        assert not solution.solved or is_right(solution, attitude) or off_deg(solution, attitude) < 0.05
+    assert solved > 12
+
+
+def knot(tracker, focal):
+    """A refused identification of the Pleiades alone, and the field as observed."""
+    xy, flux = field(tracker, PLEIADES, focal, np.random.default_rng(9))
+    observed = Observed(CAMERA.unproject(xy), flux, np.full(len(xy), 0.14 * CAMERA.pixel_rad))
+    index, _, positions = tracker.guide.in_field(PLEIADES.as_matrix(), -5.0)
+    away, row = cKDTree((CAMERA.cx, CAMERA.cy) + focal * (positions - (CAMERA.cx, CAMERA.cy))).query(xy)
+    centre = radec_to_direction(*np.radians(CLUSTERS["Pleiades"]))
+    inside = tracker.guide.directions[index[row]] @ centre > math.cos(math.radians(1.0))
+    pairs = np.stack([np.flatnonzero(inside), index[row[inside]]], axis=1)
+    assert len(pairs) > 8
+    assert np.max(away[inside]) < 1.0
+    return Identification(Status.SOLVED, "", pairs, log_false_alarm=-40.0, operations=1000), observed
+
+
+@pytest.mark.parametrize("focal", [0.974, 0.99, 1.0, 1.01, 1.026])
+def test_roll_and_focal_length_follow_from_a_knot_and_the_other_stars(tracker, focal):
+    refused, observed = knot(tracker, focal)
+    found = about_knot(refused, observed, tracker.guide, tracker.identification)
+    assert found.status is Status.SOLVED
+    assert len(found.pairs) > 0.9 * len(observed)
+    assert found.focal == pytest.approx(focal, abs=1e-3)  # 0.1 px of 700 px in 60 stars, and the linear slopes
+    assert refused.operations < found.operations < 2e7
+
+
+def test_a_focal_length_ten_percent_off_is_not_searched_for(tracker):
+    """The search starts at most 3 % off, and the fit that follows is pulled back by its prior of 1 %."""
+    refused, observed = knot(tracker, 1.10)
+    found = about_knot(refused, observed, tracker.guide, tracker.identification)
+    assert found.status is not Status.SOLVED
+
+
+def test_an_attitude_about_a_knot_must_be_likelier_than_the_refused_one(tracker):
+    refused, observed = knot(tracker, WRONG_FOCAL)
+    strong = replace(refused, log_false_alarm=-3000.0)
+    found = about_knot(strong, observed, tracker.guide, tracker.identification)
+    assert found.status is Status.AMBIGUOUS
+    assert len(found.pairs) == 0
+    assert "which was refused" in found.reason
 
 
 def test_tracking_does_not_follow_a_knot(tracker):
