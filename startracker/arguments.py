@@ -64,7 +64,7 @@ def real_number(
         within = least <= number <= most and (math.isfinite(number) or not finite)
         if within or (math.isnan(number) and not finite):
             return number
-    raise InputError(f"{name} must be {_range(what, least, most, unit)}; got {_shown(given)}")
+    raise InputError(f"{name} must be {_range(what, least, most, unit)}; got {shown(given)}")
 
 
 def whole_number(name: str, given: Any, *, least: float = -math.inf, most: float = math.inf) -> int:
@@ -79,7 +79,7 @@ def whole_number(name: str, given: Any, *, least: float = -math.inf, most: float
     good = isinstance(value, Integral) or (isinstance(value, float | np.floating) and float(value).is_integer())
     if good and type(value) not in _TRUTH and least <= value <= most:
         return int(value)
-    raise InputError(f"{name} must be {_range('a whole number', least, most)}; got {_shown(given)}")
+    raise InputError(f"{name} must be {_range('a whole number', least, most)}; got {shown(given)}")
 
 
 def real_array(
@@ -115,11 +115,11 @@ def real_array(
     )
     if array.dtype.kind not in "iuf" or not fits:
         needed = "" if shape is None else f" with the shape {_shape_text(shape)}"
-        got = f"the shape {array.shape}" if array.dtype.kind in "iuf" else _shown(given)
+        got = f"the shape {array.shape}" if array.dtype.kind in "iuf" else shown(given)
         raise InputError(f"{name} must be real numbers{needed}{f', {unit}' if unit else ''}; got {got}")
     array = array.astype(np.float64, copy=False)
     if finite and not np.isfinite(array).all():
-        raise InputError(f"{name} must be finite numbers; got {_shown(given)}")
+        raise InputError(f"{name} must be finite numbers; got {shown(given)}")
     return array
 
 
@@ -142,7 +142,7 @@ def of_kind(name: str, given: Any, kinds: Any, advice: str = "") -> Any:
     if isinstance(given, kinds):
         return given
     names = " or ".join("None" if kind is type(None) else kind.__name__ for kind in _classes(kinds))
-    raise InputError(f"{name} must be {_article(names)} {names}{f' ({advice})' if advice else ''}; got {_shown(given)}")
+    raise InputError(f"{name} must be {_article(names)} {names}{f' ({advice})' if advice else ''}; got {shown(given)}")
 
 
 def pair(name: str, given: Any) -> tuple[float, float]:
@@ -169,7 +169,7 @@ def names_of(given: Any) -> tuple[str, ...]:
         names = tuple(given)
         if all(isinstance(name, str) for name in names):
             return names
-    raise InputError(f"names must be given as a list of text; got {_shown(given)}")
+    raise InputError(f"names must be given as a list of text; got {shown(given)}")
 
 
 def switch(name: str, given: Any) -> bool:
@@ -182,7 +182,7 @@ def switch(name: str, given: Any) -> bool:
     """
     if isinstance(given, bool | np.bool_) or (isinstance(given, int) and given in (0, 1)):
         return bool(given)
-    raise InputError(f"{name} must be True or False; got {_shown(given)}")
+    raise InputError(f"{name} must be True or False; got {shown(given)}")
 
 
 def file_path(name: str, given: Any) -> Path:
@@ -197,7 +197,7 @@ def file_path(name: str, given: Any) -> Path:
         if "\0" in str(given):
             raise InputError(f"{str(given)!r} is not a file name: it contains a null character")
         return Path(given)
-    raise InputError(f"{name} must be the name of a file; got {_shown(given)}")
+    raise InputError(f"{name} must be the name of a file; got {shown(given)}")
 
 
 def text(name: str, given: Any) -> str:
@@ -210,7 +210,7 @@ def text(name: str, given: Any) -> str:
     """
     if isinstance(given, str):
         return given
-    raise InputError(f"{name} must be text; got {_shown(given)}")
+    raise InputError(f"{name} must be text; got {shown(given)}")
 
 
 def _classes(kinds: Any) -> Iterator[type]:
@@ -241,12 +241,12 @@ def _shape_text(shape: tuple[int | None, ...]) -> str:
     return f"({', '.join(lengths)}{',' if len(lengths) == 1 else ''})"
 
 
-def _shown(given: Any) -> str:
+def shown(given: Any) -> str:
     """A value as quoted in a message: one short line."""
     if isinstance(given, np.ndarray) and given.ndim:
         return f"an array of {given.dtype} with the shape {given.shape}"
     try:
-        shown = " ".join(repr(given).split())
+        line = " ".join(repr(given).split())
     except Exception:
-        shown = ""
-    return shown if 0 < len(shown) <= 60 else f"an object of {type(given).__name__}"
+        line = ""
+    return line if 0 < len(line) <= 60 else f"an object of {type(given).__name__}"

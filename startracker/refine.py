@@ -21,12 +21,13 @@ from startracker.estimation.image_errors import (
     ImageErrors,
     error_columns,
     probability_as_assumed,
+    rotation_of_shift,
     shared_shift,
 )
 from startracker.estimation.pose import TRUSTED, Linearised, Pose, displacements, fit_pose
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
-from startracker.geometry.image_map import CX, WIDTH, pixel_slopes
+from startracker.geometry.image_map import CX, WIDTH
 from startracker.geometry.linalg import solve, turned
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
@@ -143,8 +144,7 @@ def refine(
     matrix, covariance = field.attitude(fit, estimator)
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
         common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
-        turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
-        covariance = covariance + turn_per_px @ common_px2 @ turn_per_px.T
+        covariance = covariance + rotation_of_shift(common_px2, camera)
     if not same(named[fits], used):
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - field.seen(named[:, 1], matrix)[0]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from startracker.arguments import ABOVE_0, of_kind, switch, text
+from startracker.arguments import ABOVE_0, of_kind, shown, switch, text
 from startracker.errors import InputError
 
 T = TypeVar("T")
@@ -57,4 +57,4 @@ def _check_number(name: str, value: Any, least: float, most: float, *, whole: bo
     if not (good and least <= value <= most):
         within = f"at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
         number = "number" if good or not whole else "whole number"
-        raise InputError(f"{name} is {value!r}; it must be a {number} {within}")
+        raise InputError(f"{name} is {shown(value)}; it must be a {number} {within}")

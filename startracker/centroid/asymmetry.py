@@ -41,7 +41,7 @@ _Star: TypeAlias = tuple[float, float, float]
 _EXAMINED = 27
 _SYMMETRIC = 0.4
 """Prior probability that star images are symmetric."""
-_LEAST_ASYMMETRIC = 0.15
+_LEAST_ASYMMETRIC = 0.5
 """Probability of an asymmetric image below which positions are left as they are: nine in ten frames of symmetric images
 of bright stars."""
 _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
@@ -49,6 +49,8 @@ _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
 _MODEL_ERROR = 0.4
 """Standard deviation of the actual displacement of faint stars relative to the measured one: for coma of 0.05 to 0.2
 waves at f/4 and f/1.4 between 0.8 and 1.5 of it."""
+_LARGEST_AWAY = 6.9
+"""ln 1000: exceeded by one star in a thousand."""
 _STEPS = 2
 _LONGEST_STEP_PX, _FARTHEST_PX = 0.5, 2.0
 _LEAST_SIGMA_PX = 0.01
@@ -98,6 +100,7 @@ def measure_difference(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: 
     found = found[np.isfinite(found).all(axis=1) & (np.abs(found[:, :2]).max(axis=1, initial=0.0) < _FARTHEST_PX)]
     if not len(found):
         return Difference(np.zeros(2), np.zeros((2, 2)), 0.0, 1.0)
+    found = found[_are_single(found[:, :2], found[:, 2])]
     xx, yy, _ = psf.shape
     mean, variance = _pooled(found[:, :2], found[:, 2])
     return _averaged(mean, variance, math.sqrt(0.5 * (xx + yy) + _PIXEL), float(found[:, 3].mean()))
@@ -106,7 +109,21 @@ def measure_difference(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: 
 def _examined(table: FloatArray, unfit: BoolArray) -> IntArray:
     x, y, flux = np.ascontiguousarray(table[:, :3].T)
     stars: IntArray = brightest_alone(x, y, flux, unfit, _EXAMINED)
-    return stars
+    # two windows of a tracked frame may show one star
+    apart = np.abs(table[stars, None, :2] - table[None, stars, :2]).max(axis=2)
+    repeated: BoolArray = np.triu(apart < 1.0, 1).any(axis=0)
+    return stars[~repeated]
+
+
+def _are_single(differences: FloatArray, variance: FloatArray) -> BoolArray:
+    """Stars (N,) whose difference (N, 2) is near the median of all: an unresolved pair has a difference of its own.
+
+    Squares over twice the variance are distributed exponentially; their median, ln 2, shows the scatter beyond it.
+    """
+    away = np.square(differences - np.median(differences, axis=0)).sum(axis=1) / (2.0 * variance)
+    scatter = max(float(np.median(away)) / math.log(2.0), 1.0)
+    near: BoolArray = away <= _LARGEST_AWAY * scatter
+    return near
 
 
 def _pooled(differences: FloatArray, variance: FloatArray) -> tuple[FloatArray, float]:

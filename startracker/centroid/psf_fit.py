@@ -155,14 +155,15 @@ def _fit(
     if frame.settings.psf is None:
         unfit, half, pixels = spots.saturated | spots.edge, int(starts.half.min()), frame.pixels
         common = skewness_covariance(pixels, fits.table, unfit, half, psf.shape)
-        found = measure_difference(pixels, psf, fits.table, unfit, half)
-        if found.asymmetric > _SURELY_ASYMMETRIC:
-            other = reference_psf(pixels, psf, fits.table, unfit, half, found.dark)
-            if other is not None:
-                psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
-                fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
-                found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()))
-        common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
+        if gain_e_per_dn is not None:  # a gain guessed from the background does not tell the contrast of stars
+            found = measure_difference(pixels, psf, fits.table, unfit, half)
+            if found.asymmetric > _SURELY_ASYMMETRIC:
+                other = reference_psf(pixels, psf, fits.table, unfit, half, found.dark)
+                if other is not None:
+                    psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
+                    fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
+                    found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()))
+            common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
     stars = collect(fits.table, _widths(psf), spots, frame.half, fits.group, SYSTEMATIC_PX)
     return changed(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)
 

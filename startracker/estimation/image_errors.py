@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import FloatArray
+from startracker.geometry.camera import Camera
+from startracker.geometry.image_map import pixel_slopes
 
 AS_ASSUMED = 0.5
 """Prior probability that star images are as assumed, without systematic error."""
@@ -92,3 +94,10 @@ def probability_as_assumed(misfit: float | None) -> float:
     wrong = math.exp(0.5 / _WRONG_MISFIT**2 - misfit / _WRONG_MISFIT) * beyond / _WRONG_MISFIT
     part = AS_ASSUMED * clean
     return min(max(part / max(part + (1.0 - AS_ASSUMED) * wrong, 1e-300), 1e-6), 1.0 - 1e-6)
+
+
+def rotation_of_shift(covariance_px2: FloatArray, camera: Camera) -> FloatArray:
+    """Covariance (3, 3) of the rotation vector, rad², of an error of the position common to all stars, (2, 2) px²."""
+    turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
+    covariance: FloatArray = turn_per_px @ covariance_px2 @ turn_per_px.T
+    return covariance

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.estimation import Estimator
+from startracker.estimation.image_errors import rotation_of_shift
 from startracker.estimation.wahba import wahba_svd
 from startracker.geometry.attitude import matrix_to_quat
 from startracker.geometry.camera import Camera
@@ -157,10 +158,11 @@ def follow(
     if not evidence >= _LEAST_WORTH:
         return None
     stars = (partner >= 0).nonzero()[0]
+    common = None if seen.common_px2 is None else rotation_of_shift(seen.common_px2, camera)
     while True:
         after, sigma_px = prediction.copy(), seen.sigma_px[stars]
         reference = expected.directions[partner[stars]]
-        innovation = after.update_stars(seen.vectors[stars], reference, sigma_px * pixel, false_rejection)
+        innovation = after.update_stars(seen.vectors[stars], reference, sigma_px * pixel, false_rejection, common)
         if not innovation.accepted:
             return None
         residual = seen.xy[stars] - to_pixels(reference @ after.matrix.T, camera.image_map)
@@ -174,7 +176,8 @@ def follow(
         except InputError:
             return None
         after = prediction.copy()
-        innovation = after.update_attitude(estimate.matrix, estimate.covariance, false_rejection)
+        covariance = estimate.covariance if common is None else estimate.covariance + common
+        innovation = after.update_attitude(estimate.matrix, covariance, false_rejection)
         if not innovation.accepted:
             return None
         residual = seen.xy[stars] - to_pixels(reference @ after.matrix.T, camera.image_map)

@@ -71,6 +71,8 @@ class Seen:
     """Central pixels of the windows, (windows, 2)."""
     window_half_px: int = 0
     """A window has 2 half + 1 pixels per side."""
+    common_px2: FloatArray | None = None
+    """Covariance of an error common to all candidates (`Centroids.common_px2`), (2, 2)."""
 
     def select(self, rows: NDArray[Any]) -> Seen:
         """Selection of the candidates."""
@@ -223,6 +225,7 @@ def look(
         min(len(x) * ((2 * half + 1) * camera.pixel_rad) ** 2, tracker.guide.solid_angle_sr),
         centre,
         half,
+        found.common_px2,
     )
     return _with_direction(seen)
 

@@ -301,12 +301,22 @@ class Mekf:
         return self.update_stars(b, r, sigma, _probability(false_rejection))
 
     def update_stars(
-        self, observed: FloatArray, reference: FloatArray, sigma_rad: FloatArray, false_rejection: float
+        self,
+        observed: FloatArray,
+        reference: FloatArray,
+        sigma_rad: FloatArray,
+        false_rejection: float,
+        common_rad2: FloatArray | None = None,
     ) -> Innovation:
-        """`update_vectors` with contiguous arrays (M, 3), (M, 3), (M,) that need no check; M is at least 1."""
+        """`update_vectors` with contiguous arrays (M, 3), (M, 3), (M,) that need no check; M is at least 1.
+
+        `common_rad2` is the covariance (3, 3) of a rotation by an error common to all directions.
+        """
         delta, before = _NO_TURN, (0.0, 0.0, 0.0)
         for _ in range(_MOST_PASSES):
             axes, innovation, noise = vector_measurement(self._quat, delta, observed, reference, sigma_rad)
+            if common_rad2 is not None:
+                noise = noise + axes @ common_rad2 @ axes.T
             outcome = correct(self._covariance, axes, innovation, noise)
             delta = outcome[1][:3]
             x, y, z = delta.tolist()

@@ -193,7 +193,7 @@ class TrackingSession:
             return self._update_image(given, clock)
 
     def _update_image(self, given: GivenImage, clock: Clock) -> Solution:
-        expected = self._expect(given.observer)
+        expected, accepted = self._expect(given.observer), None
         if expected is not None and self._filter is not None:
             exposure_s = given.exposure_s or self.exposure_s
             length = streak_px(self.tracker, self._filter.rate_rad_s, exposure_s)
@@ -204,10 +204,14 @@ class TrackingSession:
             seen = look(given.image, self.tracker, expected, half, length, self._scatter.factor, *detector)
             clock.lap("windows")
             followed = self._follow(seen, expected)
-            if self._accepts(followed) and not followed.hides_a_part(self.tracker.camera):
-                return self._tracked(followed, clock)
+            if self._accepts(followed):
+                if not followed.hides_a_part(self.tracker.camera):
+                    return self._tracked(followed, clock)
+                accepted = followed
         prior, prior_deg = self._watched.prior(self.settings.prior_limit_deg)
         found = self.tracker.solve(given, prior=prior, prior_deg=prior_deg)
+        if accepted is not None and found.status is Status.SATURATED:  # which is why a part is hidden
+            return self._tracked(accepted, clock)
         followed = None
         if not found.solved and expected is not None:
             # windows contain chance neighbours; over the whole frame a few stars at predicted positions have more

@@ -32,10 +32,12 @@ def calibrated(trials, points):
     for rate in (1e-1, 1e-2, 1e-3):
         tracker, rng = tracker_at(rate), np.random.default_rng(points)
         lists = [random_list(rng, tracker.guide, points) for _ in range(trials)]
-        accepted = sum(tracker.solve_centroids(*each).solved for each in lists)
-        assert accepted <= at_most(trials, rate)
-        if rate == 1e-1:  # nor is the rate an idle bound: measured 0.08 to 0.10
-            assert accepted >= 0.02 * trials
+        solutions = [tracker.solve_centroids(*each) for each in lists]
+        assert sum(solution.solved for solution in solutions) <= at_most(trials, rate)
+        if rate == 1e-1:
+            # Nor is the rate an idle bound of the evidence: measured 0.08 to 0.10. Most of these are then refused, as
+            # they leave the bright stars unexplained.
+            assert sum(accepts(found.log_false_alarm, tracker.identification) for found in solutions) >= 0.02 * trials
 
 
 @pytest.mark.parametrize(("points", "trials"), [(5, 200), (8, 40)])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, StarTracker, Status, solve_unknown_fov
-from startracker.estimation.pose import few_stars_factor
+from startracker.estimation.few_stars import few_stars_factor
 from startracker.identification.free_scale import log_evidence
 from startracker.observer import Observer
 
@@ -104,7 +104,7 @@ def test_covariance_is_honest(trackers):
         solution = tracker.solve_centroids(xy, flux, observer=observer)
         error = attitude.rotation_vector_to(solution.attitude)
         errors.append(error)
-        # the covariance of errors that only residuals tell is widened to hold 99 % of the errors
+        # the covariance of errors that only residuals tell is widened to hold 99.9 % of the errors
         factor = few_stars_factor(2 * len(solution.stars.fitted) - 3)
         chi2.append(factor * float(error @ np.linalg.solve(solution.covariance, error)))
     # χ²/3 with the scale told by ν = 2M − 3 residuals is F(3, ν): for the 16 to 20 stars of a usual field its mean is
