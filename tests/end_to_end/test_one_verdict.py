@@ -141,8 +141,9 @@ def test_a_lens_error_within_the_specification_is_reported_and_fails_no_command(
     sweep = ["sweep", "judged.yaml", "--over", "specification.inconsistent_rate=0.05,0.99", "--trials", "20"]
     assert _run([*sweep, "--out", "sweep"]) == 0
     points = json.loads((tmp_path / "sweep/sweep.json").read_text())["points"]
-    # where consistency is specified it is judged
-    assert [point["statistics"]["inconsistent_rate_verdict"] for point in points] == ["not met", "undecided"]
+    # where consistency is specified it is judged: 20 of 20 do not show that fewer than 99 % are inconsistent
+    loose_verdict = "undecided" if summary["inconsistent"] == 20 else "met"
+    assert [point["statistics"]["inconsistent_rate_verdict"] for point in points] == ["not met", loose_verdict]
     assert points[0]["verdict"]["verdict"] == "not met"
     assert {point["statistics"]["inconsistent"] for point in points} == {summary["inconsistent"]}
     assert f"({summary['inconsistent']} inconsistent)" in printed()
