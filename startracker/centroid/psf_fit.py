@@ -155,7 +155,7 @@ def _fit(
     if frame.settings.psf is None:
         unfit, half, pixels = spots.saturated | spots.edge, int(starts.half.min()), frame.pixels
         common = skewness_covariance(pixels, fits.table, unfit, half, psf.shape)
-        if gain_e_per_dn is not None:  # a gain guessed from the background does not tell the contrast of stars
+        if gain_e_per_dn is not None:  # a gain guessed from the background leaves the contrast of stars unknown
             found = measure_difference(pixels, psf, fits.table, unfit, half)
             if found.asymmetric > _SURELY_ASYMMETRIC:
                 other = reference_psf(pixels, psf, fits.table, unfit, half, found.dark)
