@@ -113,16 +113,17 @@ def _points(done: list[dict[str, Any]], keys: tuple[str, ...], swept: list[str])
             str(point["point"]),
             *_values(point, swept),
             f"{s['solved']} of {s['trials']}",
-            *(str(s.get(name, "–")) for name in ("misidentified", "inconsistent", "wrong")),
+            " / ".join(str(s.get(name, "–")) for name in ("misidentified", "inconsistent", "wrong")),
             percent_text(s),
             *(interval_text(s, axis) for axis in BODY_AXES),
             s.get("verdict", "–"),
         ))  # fmt: skip
     names = (f"rms {axis} (95 %)" for axis in BODY_AXES)
     return Table(
-        ("point", *keys, "solved", "misidentified", "inconsistent", "wrong", "identified (95 %)", *names, "verdict"),
+        ("point", *keys, "solved", "mis. / inc. / wrong", "identified (95 %)", *names, "verdict"),
         tuple(rows),
-        note="All statistics are in points.csv and sweep.json, all trials in sweep.parquet.",
+        note="mis. / inc. / wrong: misidentified, inconsistent and wrong attitudes. All statistics are in points.csv "
+        "and sweep.json, all trials in sweep.parquet.",
     )
 
 
