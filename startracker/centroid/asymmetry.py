@@ -41,9 +41,9 @@ _Star: TypeAlias = tuple[float, float, float]
 _EXAMINED = 27
 _SYMMETRIC = 0.4
 """Prior probability that star images are symmetric."""
-_LEAST_ASYMMETRIC = 0.5
-"""Probability of an asymmetric image below which positions are left as they are: nine in ten frames of symmetric images
-of bright stars."""
+LEAST_ASYMMETRIC = 0.5
+"""Probability of an asymmetric image below which positions are left as they are, and from which it is fitted with the
+ellipse of the reference's weights."""
 _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
 """Grid of τ in widths of the star image, pixel included: 0.05 to 0.2 waves of coma give 0.08 to 0.4."""
 _MODEL_ERROR = 0.4
@@ -169,7 +169,7 @@ def correct_asymmetry(
     """
     xx, yy, xy = psf.shape
     stars = np.flatnonzero(np.isfinite(table[:, :6]).all(axis=1) & (table[:, 2] > 0.0) & ~unfit)
-    if not (found.asymmetric > _LEAST_ASYMMETRIC and len(stars)):
+    if not (found.asymmetric > LEAST_ASYMMETRIC and len(stars)):
         return np.zeros((2, 2))
     light = table[stars, 2] / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     contrast = (light * pixels.inverse_gain + (pixels.flat_error * light) ** 2) / found.dark

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.centroid.asymmetry import correct_asymmetry, measure_difference, reference_psf
+from startracker.centroid.asymmetry import LEAST_ASYMMETRIC, correct_asymmetry, measure_difference, reference_psf
 from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import PsfModel, load_psf
@@ -37,8 +37,6 @@ MISFIT_SIGMA = 4.0
 _SURELY_HOT = 10.0
 """Times as likely as a star that a hot pixel must be."""
 _ASTRAY_PX = 1.5
-_SURELY_ASYMMETRIC = 0.5
-"""Probability of an asymmetric star image from which it is fitted with the ellipse of the reference's weights."""
 
 
 def weighted_moment(
@@ -157,7 +155,7 @@ def _fit(
         common = skewness_covariance(pixels, fits.table, unfit, half, psf.shape)
         if gain_e_per_dn is not None:  # a gain guessed from the background leaves the contrast of stars unknown
             found = measure_difference(pixels, psf, fits.table, unfit, half)
-            if found.asymmetric > _SURELY_ASYMMETRIC:
+            if found.asymmetric > LEAST_ASYMMETRIC:
                 other = reference_psf(pixels, psf, fits.table, unfit, half, found.dark)
                 if other is not None:
                     psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
