@@ -50,6 +50,7 @@ def test_the_faithful_scenario_has_the_rules_of_the_thesis():
     assert found.threshold_dn == pytest.approx(49 + (8191 - 20) * np.exp(-36 / (2 * np.pi * 1.23**2)), abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_first_eight_objects_are_not_the_eight_brightest():
     """The thesis stops at the eighth star. This camera sees a hundred, most too faint for its catalogue of V ≤ 6.5."""
     first = Scenario.load("greyling1995", overrides=["tracker.detector=first_regions"])
@@ -71,6 +72,7 @@ def test_sunsat_looks_where_the_thesis_says():
     assert np.allclose(path.dec_deg, 8.6, atol=0.04)
 
 
+@pytest.mark.slow
 def test_trials_of_a_year_stay_on_the_path():
     scenario = Scenario.load("tc211")
     columns = run(scenario, trials=100).columns

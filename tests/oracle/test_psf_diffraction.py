@@ -113,7 +113,11 @@ def test_a_sum_of_wavelengths():
 
 
 @pytest.mark.parametrize(
-    ("aspect", "azimuths_deg"), [(1.0, [30, 60, 120, 150, 210, 240, 300, 330]), (0.8, [30, 120, 240, 330])]
+    ("aspect", "azimuths_deg"),
+    [
+        pytest.param(1.0, [30, 60, 120, 150, 210, 240, 300, 330], marks=pytest.mark.slow),
+        (0.8, [30, 120, 240, 330]),
+    ],
 )
 def test_mirrored_zones_are_what_their_wavefronts_make(aspect, azimuths_deg):
     """Zones taken by mirroring another against the image computed for them: the same sums in another order, 1e-6. All

@@ -121,6 +121,7 @@ def test_black_level_is_recovered(calibration):
     assert noise / glow < 0.05
 
 
+@pytest.mark.slow
 def test_a_display_without_a_power_law_gets_a_table():
     def srgb(x):  # IEC 61966-2-1
         return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)

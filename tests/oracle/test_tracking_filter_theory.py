@@ -42,7 +42,10 @@ def test_step_is_van_loans(angle, sign):
     np.testing.assert_allclose(found, phi @ start @ phi.T + phi @ big[:6, 6:], rtol=0, atol=2e-12 * np.trace(start))
 
 
-@pytest.mark.parametrize(("random_walk", "bias_walk", "dt"), [(2e-5, 3e-6, 2.0), (1e-4, 1e-8, 0.1), (1e-6, 1e-4, 1.0)])
+@pytest.mark.parametrize(
+    ("random_walk", "bias_walk", "dt"),
+    [(2e-5, 3e-6, 2.0), pytest.param(1e-4, 1e-8, 0.1, marks=pytest.mark.slow), (1e-6, 1e-4, 1.0)],
+)
 def test_steady_state_is_farrenkopfs(random_walk, bias_walk, dt):
     sigma = 1e-4
     twin = Mekf(Attitude([0, 0, 0, 1]), np.eye(3) * 1e-4, GyroNoise(random_walk, bias_walk, 1e-3))

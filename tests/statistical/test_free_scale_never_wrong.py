@@ -50,7 +50,11 @@ def scene(rng, fov_deg, stars):
 @pytest.mark.parametrize(
     ("fov_deg", "stars", "share"),
     # measured over 200: 99 to 100 %, and 91.5 % with 8 to 12 stars; less 4 √(p (1 − p) / 40) with p = 1 % and 8.5 %
-    [((3.0, 15.0), (20, 60), 0.93), ((15.0, 65.0), (20, 60), 0.92), ((5.0, 60.0), (8, 12), 0.74)],
+    [
+        ((3.0, 15.0), (20, 60), 0.93),
+        pytest.param((15.0, 65.0), (20, 60), 0.92, marks=pytest.mark.slow),
+        ((5.0, 60.0), (8, 12), 0.74),
+    ],
 )
 def test_random_cameras(fov_deg, stars, share):
     solved = 0
@@ -66,6 +70,7 @@ def test_random_cameras(fov_deg, stars, share):
     assert solved >= share * 40
 
 
+@pytest.mark.slow
 def test_random_points_are_no_sky():
     for seed in range(40):
         rng = np.random.default_rng([seed, 1])

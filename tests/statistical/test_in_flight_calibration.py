@@ -26,6 +26,7 @@ def distance2(filtered, change):
     return float(error @ np.linalg.solve(filtered.covariance, error))
 
 
+@pytest.mark.slow
 def test_chi_square_of_twenty_injected_drifts():
     """Step since the ground of 100 ppm and 0.18 px (1 µm of a pixel of 5.5 µm) on average in random directions, and a
     random walk while it is estimated: χ² of the four parameters at the end, summed over 20 seeds, within the 95 %
@@ -71,6 +72,7 @@ def test_same_stars_in_every_frame(roll_deg):
     assert ignored > chi2.ppf(1 - 1e-6, 80)  # without the constant errors the covariance would be wrong
 
 
+@pytest.mark.slow
 def test_noise_is_not_followed():
     """Without drift the scatter of the estimates over 40 seeds is the stated one (χ² of 40, 95 % over four parameters),
     and it decreases with the number of frames as 1/√N within 10 %: priors add information, frames are not equal."""
@@ -93,6 +95,7 @@ def test_noise_is_not_followed():
     assert np.mean(early) / np.mean(late) == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_step_is_followed_with_the_stated_time_constant():
     """Steady filter; the same noise with and without a step of the lens, so that only the response remains: with steps
     of h it decays as (1 + R h)⁻ᵏ, the exact steady state of frames of equal information. The information of 100 random
@@ -182,6 +185,7 @@ def attitude_error(camera, matrix, stars):
     return Rotation.from_matrix(lens_equations(camera, matrix, stars, NAMES).matrix @ matrix.T).as_rotvec()
 
 
+@pytest.mark.slow
 def test_attitudes_return_to_the_bound():
     """The same frames with the ground's, the estimated and the true lens, 100 ppm and 0.18 px from the ground's.
 

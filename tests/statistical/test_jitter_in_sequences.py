@@ -226,6 +226,7 @@ def sequence_of_means(path, t_s, exposure_s):
     return np.sum(shares * (path.cosine_rad * np.cos(phase) + path.sine_rad * np.sin(phase)), axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gyro", ["true", "false"])
 def test_filter_agrees_with_a_camera_that_shakes(gyro):
     """20″ (0.3 px) of jitter: with a gyro it is measured, without one it is noise of the motion, of which `auto` knows.

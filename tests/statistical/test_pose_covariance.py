@@ -227,6 +227,7 @@ def test_stars_that_agree_by_chance_do_not_leave_out_the_others(tracker):
     assert low <= np.mean(nees) <= high
 
 
+@pytest.mark.slow
 def test_constant_coma_turns_no_attitude():
     """A lens in focus with 0.1 waves of coma: the mean error was 2.1 arcsec, 0.046 px, for positions by a fit to an
     image that no pixel had integrated. Allowed: the 0.005 px by which faint stars differ from those of the definition,

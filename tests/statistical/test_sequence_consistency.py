@@ -19,6 +19,7 @@ def sequence_of(*overrides):
     return run_sequence(Scenario.load("cubesat_ideal", overrides=[*SMALL_CAMERA, *overrides]))
 
 
+@pytest.mark.slow
 def test_errors_are_as_the_covariance_says():
     """With a gyro the truth is what the filter assumes of it: white noise, and a bias that wanders."""
     sequences, inside, values = [], 0, 0

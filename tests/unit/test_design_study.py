@@ -161,6 +161,7 @@ def test_a_scenario_at_another_rate_than_specified_is_an_error(scenario):
         design(fast, Trade("optics.aperture_mm", 5.0, 6.0, steps=2, count=20))
 
 
+@pytest.mark.slow
 def test_the_search_goes_on_with_the_simulator_where_it_contradicts(scenario, monkeypatch):
     """Errors are three times those of the simulator, so that the error about yaw, of which 60 arcsec are specified and
     predicted to be met at the first value, is not; a larger aperture is confirmed, and is no larger than needed."""

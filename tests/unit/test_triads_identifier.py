@@ -76,7 +76,7 @@ def test_prior(guide):
     assert triads(seen, guide, None, Prior(elsewhere, math.radians(2.0))).status is Status.NO_MATCH
 
 
-@pytest.mark.parametrize(("points", "trials"), [(3, 6), (5, 4), (12, 2)])
+@pytest.mark.parametrize(("points", "trials"), [(3, 6), (5, 4), pytest.param(12, 2, marks=pytest.mark.slow)])
 def test_random_points_are_no_sky(guide, points, trials):
     rng = np.random.default_rng(points)
     for _ in range(trials):
