@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,10 +25,12 @@ from simulator.study.trials.causes import systematic_turn_deg
 from simulator.study.trials.trial import (
     TrialRunner,
     galactic_latitude_deg,
+    misidentified,
     normalised_error_squared,
     solve_frame,
 )
 from startracker.geometry.attitude import Attitude
+from startracker.solution import MatchedStars
 
 SMALL = ("detector.width=256", "detector.height=256", "optics.focal_length_mm=12", "optics.aperture_mm=8.5")
 
@@ -228,3 +231,26 @@ def test_the_answer_says_which_stars_were_fitted():
     used = np.arange(solution.matched) != 1
     told = as_dict(replace(solution, stars=replace(solution.stars, used=used)), np.empty((0, 2)), None)
     assert [star["used"] for star in told["stars"]] == used.tolist()
+
+
+@pytest.mark.parametrize(
+    ("off_px", "sigma_px", "wrong"),
+    [(2.9, 0.05, 0), (3.1, 0.05, 1), (3.1, math.nan, 1), (6.0, 1.2, 0), (6.9, 1.0, 0), (7.2, 1.0, 1)],
+)
+def test_a_star_measured_within_its_stated_error_is_itself(off_px, sigma_px, wrong):
+    """Along a trail of 36 px the centroids of faint stars are some pixels off, and say so."""
+    sources = SimpleNamespace(
+        id=np.array([7, 8]), is_star=np.ones(2, bool), image_xy=np.array([[50.0, 50.0], [20.0, 20.0]])
+    )
+    names = np.array(["", ""])
+    xy = np.array([[50.0 + 0.6 * off_px, 50.0 - 0.8 * off_px], [20.0, 20.0]])
+    stars = MatchedStars(
+        xy, np.array([7, 8]), names, np.zeros(2), np.zeros(2), np.zeros((2, 2)), sigma_px=np.array([sigma_px, 0.1])
+    )
+    assert misidentified(SimpleNamespace(sources=sources), SimpleNamespace(stars=stars)) == wrong
+
+
+def test_long_trails_of_a_shipped_scenario_are_not_misidentified():
+    runner = TrialRunner(Scenario.load("scenarios/gallery/smear.yaml"))
+    rows = [runner.run(index) for index in range(2)]
+    assert [(row["status"], row["stars_misidentified"]) for row in rows] == [("solved", 0)] * 2

@@ -31,6 +31,7 @@ STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker with a column of their times; these, ``render_ms`` and ``solve_ms`` are the only columns that
 may differ between runs of the same scenario and seed."""
 
+_SAME_STAR_SIGMAS = 5.0
 _ERRORS = (*CAMERA_AXES, *BODY_AXES)
 _ERROR_COLUMNS = tuple(f"error_{axis}_deg" for axis in _ERRORS)
 _SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
@@ -97,14 +98,17 @@ def mounting_columns(rotation_rad: FloatArray | None) -> dict[str, float]:
 
 
 def misidentified(truth: FrameTruth, solution: Solution) -> int:
-    """Number of matched stars without a true star of the same catalogue number within `SAME_STAR_PX` of the centroid.
+    """Number of matched stars without a true star of the same catalogue number near the centroid.
 
-    A merged double has the number of its brighter star, whose true position is within the camera's resolution.
+    Near is within `SAME_STAR_PX`, or within 5 σ of the centroid: along a trail, the error is √2 times the mean of both
+    axes that `MatchedStars.sigma_px` states, and pixels long for faint stars. A merged double has the number of its
+    brighter star, whose true position is within the camera's resolution.
     """
     sources, stars = truth.sources, solution.stars
     star, source = np.nonzero((stars.catalog_id[:, None] == sources.id) & sources.is_star)
     offset = sources.image_xy[source] - stars.xy[star]
-    known = star[np.hypot(offset[:, 0], offset[:, 1]) <= SAME_STAR_PX]
+    near_px = np.fmax(SAME_STAR_PX, _SAME_STAR_SIGMAS * math.sqrt(2.0) * stars.sigma_px[star])
+    known = star[np.hypot(offset[:, 0], offset[:, 1]) <= near_px]
     return len(stars.xy) - len(set(known.tolist()))
 
 
