@@ -34,8 +34,9 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import FlightProgram, list_text, velocity_of
+from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import wilson_interval
-from simulator.study.trials.trial import build_tracker, solve_frame
+from simulator.study.trials.trial import solve_frame
 from startracker import StarTracker
 from startracker.arrays import FloatArray
 from startracker.flight.apparent import epoch_of

@@ -8,8 +8,8 @@ import math
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.schema_sequence import SequenceSection
-from simulator.study.sequence.true_motion import process_noise
-from simulator.study.trials.trial import build_tracker
+from simulator.study.process_noise import process_noise
+from simulator.study.star_tracker import build_tracker
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.identification_settings import IdentificationSettings
 from startracker.observer import Observer

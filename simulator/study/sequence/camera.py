@@ -27,15 +27,10 @@ from simulator.study.sequence.columns import (
 )
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
+from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
-from simulator.study.trials.trial import (
-    attitude_errors_deg,
-    build_tracker,
-    in_field,
-    misidentified,
-    normalised_error_squared,
-)
+from simulator.study.trials.trial import attitude_errors_deg, in_field, misidentified, normalised_error_squared
 from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude

@@ -18,8 +18,9 @@ from simulator.scenario.heads import head_values
 from simulator.scenario.schema import HeadSection
 from simulator.study.sequence.columns import NO_FRAME, error_columns, row_errors_deg
 from simulator.study.specification.requirements import specification_of
+from simulator.study.star_tracker import build_tracker
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
-from simulator.study.trials.trial import build_tracker, in_field, misidentified
+from simulator.study.trials.trial import in_field, misidentified
 from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import Head

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from simulator.frame import Frame, FrameTruth, TrueSources
-from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
 from simulator.sky.celestial_frames import GALACTIC
 from simulator.study.specification.requirements import specification_of
+from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from startracker.arrays import FloatArray
-from startracker.catalog import load_catalog
-from startracker.catalog.stars import StarCatalog
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.kernels import clock
@@ -35,26 +31,6 @@ _ERRORS = (*CAMERA_AXES, *BODY_AXES)
 _ERROR_COLUMNS = tuple(f"error_{axis}_deg" for axis in _ERRORS)
 _SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
 _BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
-
-
-def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
-    """Star tracker of a scenario's ``tracker`` section for a camera."""
-    section = scenario.tracker
-    catalog: str | StarCatalog = section.catalog
-    if section.catalogue_errors != CatalogueErrors():
-        catalog = _erroneous(load_catalog(section.catalog), section.catalogue_errors, scenario.seed)
-    return StarTracker(
-        camera,
-        catalog=catalog,
-        magnitude_limit=section.magnitude_limit,
-        detector=section.detector,
-        centroider=section.centroider,
-        identifier=section.identifier,
-        estimator=section.estimator,
-        detection=section.detection,
-        centroid=section.centroid,
-        identification=section.identification,
-    )
 
 
 def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
@@ -132,12 +108,6 @@ def galactic_latitude_deg(attitude: Attitude) -> float:
     """Galactic latitude of the boresight, degrees."""
     x, y, z = (GALACTIC @ attitude.boresight).tolist()
     return math.degrees(math.atan2(z, math.hypot(x, y)))
-
-
-@lru_cache(maxsize=2)
-def _erroneous(catalog: StarCatalog, errors: CatalogueErrors, seed: int) -> StarCatalog:
-    """Catalogue with the errors of a seed; the same object again, for which guide stars are selected once."""
-    return with_errors(catalog, errors, stream(seed, "catalogue errors"))
 
 
 class TrialRunner:
