@@ -12,8 +12,8 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.celestial_frames import GALACTIC
 from simulator.study.specification.requirements import specification_of
-from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
+from simulator.study.trackers import Tracker, tracker_of
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from startracker.arrays import FloatArray
@@ -21,7 +21,6 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.kernels import clock
 from startracker.solution import Solution
-from startracker.tracker import StarTracker
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker with a column of their times; these, ``render_ms`` and ``solve_ms`` are the only columns that
@@ -33,7 +32,7 @@ _SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
 _BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
 
 
-def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
+def solve_frame(tracker: Tracker, frame: Frame) -> Solution:
     """Solve a frame with all data known on board."""
     return tracker.solve(frame)
 
@@ -116,7 +115,7 @@ class TrialRunner:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.renderer = Renderer(scenario)
-        self.tracker = build_tracker(scenario, self.renderer.camera)
+        self.tracker = tracker_of(scenario, self.renderer)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification = specification_of(scenario)
 
