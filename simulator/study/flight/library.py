@@ -104,29 +104,29 @@ def compiled_library(design: FlightDesign, folder: Path | None = None) -> Path:
     sources, compiler = library_sources(design), host_compiler()
     given = [*compiler, *OPTIONS, _version_of(tuple(compiler)), *(f"{n}\n{sources[n]}" for n in sorted(sources))]
     key = hashlib.sha256("\n".join(given).encode()).hexdigest()[:_DIGITS]
-    place = (cache_folder() if folder is None else folder) / key
+    target = (cache_folder() if folder is None else folder) / key
     try:
-        for found in place.glob("tracker-*.so"):
+        for found in target.glob("tracker-*.so"):
             if _is_whole(found):
                 return found
             found.unlink(missing_ok=True)
-        place.mkdir(parents=True, exist_ok=True)
-        return _compile(sources, compiler, place)
+        target.mkdir(parents=True, exist_ok=True)
+        return _compile(sources, compiler, target)
     except OSError as error:
         advice = "choose another folder for caches by the variable XDG_CACHE_HOME"
-        raise InputError(f"{place}: the flight build cannot be compiled there ({error.strerror}); {advice}") from error
+        raise InputError(f"{target}: the flight build cannot be compiled there ({error.strerror}); {advice}") from error
 
 
-def _compile(sources: Mapping[str, str], compiler: Sequence[str], place: Path) -> Path:
-    """Compile the sources in their place; the library gets its name at the end, so that processes which do this at the
+def _compile(sources: Mapping[str, str], compiler: Sequence[str], target: Path) -> Path:
+    """Compile the sources in their target; the library gets its name at the end, so that processes which do this at the
     same time do not disturb each other."""
     for name, text in sources.items():
-        write_atomically(place / name, text, durable=False)
-    with tempfile.TemporaryDirectory(dir=place) as work:
+        write_atomically(target / name, text, durable=False)
+    with tempfile.TemporaryDirectory(dir=target) as work:
         built = Path(work) / "tracker.so"
-        units = [str(place / name) for name in sources if name.endswith(".c")]
+        units = [str(target / name) for name in sources if name.endswith(".c")]
         command([*compiler, *OPTIONS, "-o", str(built), *units, *_LIBRARIES])
-        final = place / f"tracker-{_digest(built)}.so"
+        final = target / f"tracker-{_digest(built)}.so"
         os.replace(built, final)
     return final
 

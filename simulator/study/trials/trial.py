@@ -126,14 +126,15 @@ class TrialRunner:
         rendered = clock()
         solution = solve_frame(self.tracker, frame)
         solved = clock()
-        row = self._row(index, frame, truth, solution)
+        row = self.row(index, frame, truth, solution)
         row["render_ms"] = (rendered - started) * 1e3
         row["solve_ms"] = (solved - rendered) * 1e3
         for stage in STAGES:
             row[f"{stage}_ms"] = float(solution.times_ms.get(stage, math.nan))
         return row
 
-    def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
+    def row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
+        """Row of a frame that was solved, without its times."""
         scenario, sources, true = self.scenario, truth.sources, truth.attitude_at_tag
         block, k = self.renderer.scenes.block(index)
         row: dict[str, Any] = {

@@ -53,7 +53,9 @@ def compiling_beside(runner: TrialRunner) -> Iterator[None]:
     The process ends with the context. It is an aid only: without it, or if it is killed, this process compiles all
     kernels.
     """
-    if is_compiled(_TASK) or _cores() < 2 or runner.scenario.tracker.engine == "flight":
+    from simulator.study.flight.engine import FlightEngine
+
+    if is_compiled(_TASK) or _cores() < 2 or isinstance(runner.tracker, FlightEngine):
         yield
         return
     beside = _started(runner.tracker)
