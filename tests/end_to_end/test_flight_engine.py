@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 
 from simulator.checks import load_scenario
+from simulator.live.messages import solution_message
+from simulator.live.mission import LiveMission
+from simulator.study.datasheet.frames import DatasheetFrames
 from simulator.study.exported_c.targets import HOST
 from simulator.study.flight import library
+from simulator.study.flight.engine import FlightEngine
 from simulator.study.flight.library import FlightLibrary, Known, compiled_library
 from simulator.study.flight.program import FlightProgram, list_text, velocity_of
 from simulator.study.flight.session import FlightSession
 from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.sequence.heads import HeadsRunner
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trackers import session_of
 from simulator.study.trials.engine import run_trials
@@ -24,6 +29,7 @@ from startracker.errors import InputError
 from startracker.flight.apparent import epoch_of
 from startracker.geometry.attitude import Attitude
 from startracker.solution import Status
+from startracker.tracker import StarTracker
 
 pytestmark = [
     pytest.mark.system,
@@ -334,3 +340,32 @@ def test_an_attitude_far_from_the_prediction_is_rejected_once(flight):
     assert session.filter_attitude.angle_to(before) < math.radians(1.0) < first.attitude.angle_to(before)
     assert session.update(other, 4.0).solved
     assert session.state.restarted
+
+
+# ------------------------------------------------------------------ other studies
+def test_heads_of_both_engines_are_fused():
+    values = ["tracker.engine=reference", "sequence.frames=3", *SMALL]
+    given = load_scenario("two_heads", values)
+    heads = [given.heads[0].model_copy(update={"tracker": {"engine": "flight"}}), given.heads[1]]
+    runner = HeadsRunner(given.changed({"heads": heads}))
+    assert [type(camera.tracker) for camera in runner.cameras] == [FlightEngine, StarTracker]
+    rows = [frame.row for frame in runner.frames()]
+    assert {row["head_side_status"] for row in rows} == {row["head_zenith_status"] for row in rows} == {"solved"}
+    assert all(row["mode"] != "none" for row in rows)
+
+
+def test_a_live_mission_runs_it():
+    mission = LiveMission(scenario_of("flight"))
+    rows = [mission.step().tracked.row for _ in range(3)]
+    assert [row["status"] for row in rows] == ["solved"] * 3
+    assert mission.camera.session.noise == mission.camera.tracker.design.motion
+    mission.set({"detector.exposure_s": 0.1})
+    live = mission.step()
+    assert live.tracked.row["status"] == "solved"
+    assert solution_message(live, mission.camera.session, 1.0).mode == "prior"
+
+
+def test_a_datasheet_solves_lists_with_false_stars():
+    frames = DatasheetFrames(scenario_of("flight"))
+    assert frames.trials(0, 2)["right"].all()
+    assert frames.with_false_stars(0, 2, 10)["right"].all()
