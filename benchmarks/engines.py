@@ -55,7 +55,7 @@ COLUMNS = (
     "engine",
     "solved",
     "same status",
-    "wrong stars",
+    "misidentified",
     "across, ″",
     "about, ″",
     "ratio",

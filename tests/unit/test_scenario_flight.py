@@ -4,6 +4,7 @@ import pytest
 
 from simulator.checks import load_scenario
 from simulator.scenario.errors import ScenarioError
+from simulator.study.budget.effects import EFFECTS
 
 REFUSED = {
     "tracker.detector=clustering": "has no 'clustering'; use components",
@@ -71,3 +72,12 @@ def test_heads_may_have_different_engines():
     refused = "{name: a, mounting: orbit_normal, tracker: {engine: flight, estimator: svd}}"
     with pytest.raises(ScenarioError, match=r"heads\[0\].tracker.estimator: the flight build has no 'svd'"):
         load_scenario("cubesat_ideal", [f"heads=[{refused}, {{name: b, mounting: zenith}}]"])
+
+
+def test_every_effect_of_the_budget_can_be_switched_off():
+    scenario = load_scenario("cubesat", ["tracker.engine=flight"])
+    changes = {effect.name: effect.off(scenario) for effect in EFFECTS}
+    assert changes["shot noise"]
+    assert not changes["quantisation"]  # the flight build reads whole numbers
+    for values in changes.values():
+        assert scenario.changed(values).tracker.engine == "flight"
