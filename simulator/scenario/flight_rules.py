@@ -27,7 +27,14 @@ _UNREAD = {
 """Settings without effect on it, with their defaults."""
 _UNREAD_BY_IDENTIFIERS = ("max_centroids", "max_operations")
 _WIDEST_DEG = 45.0
-_LARGEST_SIDE, _MOST_STARS = 4096, 120
+LARGEST = {
+    "detector.width": 4096,
+    "detector.height": 4096,
+    "tracker.detection.max_stars": 120,
+    "tracker.centroid.window_px": 11,
+}
+"""Limits of `startracker.flight`, which a scenario may not import; a test compares them."""
+_LEAST_STARS = 3
 _OR = "or tracker.engine: reference"
 
 
@@ -45,6 +52,9 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
                 shown = "null" if default is None else show_value(default)
                 message = f"has no effect on the flight build; use {shown}, {_OR}"
                 yield impossible(f"{section}.{name}", message)
+    if v["tracker.identification.min_stars"] < _LEAST_STARS:
+        message = f"the flight build needs {_LEAST_STARS} stars; use {_LEAST_STARS}, {_OR}"
+        yield impossible("tracker.identification.min_stars", message)
     yield from _camera(v)
     for key in ("tracker.in_flight_calibration.use", "sequence.operation.use"):
         if v[key]:
@@ -63,12 +73,9 @@ def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
         yield impossible("detector.shutter", f"the flight build has no rolling shutter; use global, {_OR}")
     if v["detector.adc_bits"] is None:
         yield impossible("detector.adc_bits", f"the flight build reads whole numbers; use 1 to 16 bits, {_OR}")
-    for key in ("detector.width", "detector.height"):
-        if v[key] > _LARGEST_SIDE:
-            yield impossible(key, f"the flight build takes up to {_LARGEST_SIDE} pixels; use fewer, {_OR}")
-    if v["tracker.detection.max_stars"] > _MOST_STARS:
-        message = f"the flight build takes up to {_MOST_STARS} stars; use fewer, {_OR}"
-        yield impossible("tracker.detection.max_stars", message)
+    for key, largest in LARGEST.items():
+        if v[key] > largest:
+            yield impossible(key, f"the flight build takes up to {largest}; use fewer, {_OR}")
     widest_deg = max(_half_field_deg(v, side, k) for k, side in enumerate(("width", "height")))
     if widest_deg >= _WIDEST_DEG:
         message = f"the camera sees {widest_deg:.1f}° from its axis along rows or columns, the flight build less than "

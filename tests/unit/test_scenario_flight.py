@@ -4,7 +4,10 @@ import pytest
 
 from simulator.checks import load_scenario
 from simulator.scenario.errors import ScenarioError
+from simulator.scenario.flight_rules import LARGEST
 from simulator.study.budget.effects import EFFECTS
+from startracker.flight.front_tables import HALF, LARGEST_SIDE
+from startracker.flight.search_tables import MOST_STARS
 
 REFUSED = {
     "tracker.detector=clustering": "has no 'clustering'; use components",
@@ -22,8 +25,10 @@ REFUSED = {
     "sequence.operation.use=true": "is not part of the flight build",
     "detector.shutter=rolling": "has no rolling shutter; use global",
     "detector.adc_bits=null": "reads whole numbers; use 1 to 16 bits",
-    "detector.width=4097": "takes up to 4096 pixels",
-    "tracker.detection.max_stars=121": "takes up to 120 stars",
+    "detector.width=4097": "takes up to 4096; use fewer",
+    "tracker.detection.max_stars=121": "takes up to 120; use fewer",
+    "tracker.centroid.window_px=13": "takes up to 11; use fewer",
+    "tracker.identification.min_stars=2": "needs 3 stars; use 3",
     "optics.focal_length_mm=2.8": "sees 45.2° from its axis along rows or columns, the flight build less than 45°",
 }
 """Values, and what is said of each."""
@@ -57,6 +62,12 @@ def test_the_reference_takes_all_of_it(value):
 @pytest.mark.parametrize("value", ALLOWED)
 def test_what_it_has_is_allowed(value):
     assert load_scenario("cubesat_ideal", ["tracker.engine=flight", UNPHYSICAL, value]).tracker.engine == "flight"
+
+
+def test_the_limits_are_those_of_the_flight_build():
+    assert LARGEST["detector.width"] == LARGEST["detector.height"] == LARGEST_SIDE
+    assert LARGEST["tracker.detection.max_stars"] == MOST_STARS
+    assert LARGEST["tracker.centroid.window_px"] == 2 * HALF + 1
 
 
 def test_a_scenario_is_checked_when_its_values_change():
