@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -33,9 +32,11 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.flight.design import flight_design
-from simulator.study.flight.program import FlightProgram, list_text, velocity_of
+from simulator.study.flight.library import FlightLibrary, Known, compiled_library
+from simulator.study.flight.program import velocity_of
+from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import wilson_interval
-from simulator.study.trials.trial import build_tracker, solve_frame
+from simulator.study.trials.trial import solve_frame
 from startracker import StarTracker
 from startracker.arrays import FloatArray
 from startracker.flight.apparent import epoch_of
@@ -152,21 +153,19 @@ def compare_frames(
     name: str, identifier: str, arithmetics: list[str], count: int, keep: Path | None
 ) -> list[list[str]]:
     """A row for each arithmetic."""
-    with tempfile.TemporaryDirectory() as folder:
-        programs = {}
-        for arithmetic in arithmetics:
-            into = Path(folder) / arithmetic
-            into.mkdir()
-            programs[arithmetic] = FlightProgram(flight_design(scenario_of(name, identifier), arithmetic), into)
-        python: list[Outcome] = []
-        compiled: dict[str, list[Outcome]] = {arithmetic: [] for arithmetic in arithmetics}
-        for given in rendered(name, identifier, count, keep):
-            python.append(given.outcome)
-            for arithmetic, program in programs.items():
-                answer = program.frames([given.image], given.velocity, given.epoch)[0]
-                matrix = None if answer.attitude is None else answer.attitude.as_matrix()
-                pixel = program.design.camera.pixel_rad
-                compiled[arithmetic].append(outcome_of(answer.status, given.truth, matrix, pixel))
+    scenario = scenario_of(name, identifier)
+    designs = {arithmetic: flight_design(scenario, arithmetic) for arithmetic in arithmetics}
+    libraries = {arithmetic: FlightLibrary(compiled_library(design)) for arithmetic, design in designs.items()}
+    python: list[Outcome] = []
+    compiled: dict[str, list[Outcome]] = {arithmetic: [] for arithmetic in arithmetics}
+    for given in rendered(name, identifier, count, keep):
+        python.append(given.outcome)
+        for arithmetic, library in libraries.items():
+            library.read(np.ascontiguousarray(given.image, dtype=np.uint16), Known(given.velocity, given.epoch))
+            answer, _ = library.finish()
+            matrix = None if answer.attitude is None else answer.attitude.as_matrix()
+            pixel = designs[arithmetic].camera.pixel_rad
+            compiled[arithmetic].append(outcome_of(answer.status, given.truth, matrix, pixel))
     return [row_of(name, arithmetic, python, compiled[arithmetic]) for arithmetic in arithmetics]
 
 
@@ -189,11 +188,11 @@ def list_design(case: Case, identifier: str, arithmetic: str) -> tuple[FlightDes
     return design, tracker
 
 
-def scene_text(scene: Scene, most: int) -> str:
-    """A scene as the program reads it: the `most` brightest stars, of unknown errors."""
+def scene_stars(scene: Scene, most: int) -> StarList:
+    """The `most` brightest stars of a scene, of unknown errors."""
     xy, flux = scene.xy[:most], LIST_FLUX_DN * scene.flux[:most]
     stars = StarList.of(xy, flux, np.ones(len(xy)))
-    return list_text(stars._replace(variance=np.zeros(len(xy), dtype=np.int64)))
+    return stars._replace(variance=np.zeros(len(xy), dtype=np.int64))
 
 
 def compare_lists(name: str, identifier: str, arithmetics: list[str], count: int) -> list[list[str]]:
@@ -210,9 +209,8 @@ def compare_lists(name: str, identifier: str, arithmetics: list[str], count: int
                 solution = tracker.solve_centroids(scene.xy, scene.flux)
                 matrix = None if solution.attitude is None else solution.attitude.as_matrix()
                 python.append(outcome_of(str(solution.status), scene.matrix, matrix, pixel, case.sky))
-        texts = [scene_text(scene, design.detection.max_stars) for scene in scenes]
-        with tempfile.TemporaryDirectory() as folder:
-            answers = FlightProgram(design, Path(folder)).lists(texts)
+        library = FlightLibrary(compiled_library(design))
+        answers = [library.solve_stars(scene_stars(scene, library.most_stars), Known())[0] for scene in scenes]
         found = [None if answer.attitude is None else answer.attitude.as_matrix() for answer in answers]
         compiled = [
             outcome_of(answer.status, scene.matrix, matrix, pixel, case.sky)

@@ -21,14 +21,14 @@ import numpy as np
 
 from benchmarks import flight_worst
 from benchmarks.cases import CASES
-from benchmarks.flight import DEFAULT, LISTS, SEED, list_design, scenario_of, scene_text
+from benchmarks.flight import DEFAULT, LISTS, SEED, list_design, scenario_of, scene_stars
 from benchmarks.report import Table, provenance, show, write_markdown
 from benchmarks.scenes import SceneMaker
 from simulator.renderer import Renderer
 from simulator.study.exported_c.instructions import InstructionCounts, count_instructions, marked
 from simulator.study.exported_c.targets import CORTEX_M4, CORTEX_M7, HOST, M68K, RISCV32, RISCV64, Target
 from simulator.study.flight.design import flight_design
-from simulator.study.flight.program import FlightProgram, frame_bytes, velocity_of
+from simulator.study.flight.program import FlightProgram, frame_bytes, list_text, velocity_of
 
 TARGETS = {"m4": CORTEX_M4, "m7": CORTEX_M7, "68k": M68K, "rv64": RISCV64, "rv32": RISCV32}
 STAGES = {
@@ -106,7 +106,7 @@ def worst_list(arithmetic: str, count: int) -> list[Worst]:
     for name in LISTS:
         design, _ = list_design(CASES[name], DEFAULT, arithmetic)
         maker = SceneMaker(CASES[name], SEED)
-        texts = [scene_text(maker.scene(index), design.detection.max_stars) for index in range(count)]
+        texts = [list_text(scene_stars(maker.scene(index), design.detection.max_stars)) for index in range(count)]
         with tempfile.TemporaryDirectory() as folder:
             program = FlightProgram(design, Path(folder), target)
             counts = count_instructions(program.build, "".join(texts).encode(), "stars").answers

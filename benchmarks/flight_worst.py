@@ -32,7 +32,7 @@ from simulator.study.exported_c.targets import CORTEX_M4
 from simulator.study.exported_c.work import WorkProgram, instruction_weights
 from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import frame_bytes, list_text
-from simulator.study.trials.trial import build_tracker
+from simulator.study.star_tracker import build_tracker
 from startracker import StarTracker
 from startracker.arrays import FloatArray
 from startracker.flight.export import flight_export

@@ -31,8 +31,9 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.observer import observe
 from simulator.sky.solar_system import solar_system
+from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import wilson_interval
-from simulator.study.trials.trial import build_tracker, solve_frame
+from simulator.study.trials.trial import solve_frame
 from startracker.geometry.attitude import Attitude
 from startracker.tracker import StarTracker
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.speed.workload import SIZES, STARS, even_scenario, expose, renderer, scene
-from simulator.study.trials.trial import TrialRunner, build_tracker
+from simulator.study.star_tracker import build_tracker
+from simulator.study.trials.trial import TrialRunner
 from startracker import TrackingSession
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS

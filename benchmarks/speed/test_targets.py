@@ -11,8 +11,9 @@ from benchmarks.frames import FrameCase
 from benchmarks.scenes import Case, SceneMaker
 from benchmarks.speed.workload import CUBESAT, PLAIN, even_scenario, expose, renderer, scene, small_scenario
 from simulator import Scenario
+from simulator.study.star_tracker import build_tracker
 from simulator.study.trials.blocks import run_block
-from simulator.study.trials.trial import TrialRunner, build_tracker, solve_frame
+from simulator.study.trials.trial import TrialRunner, solve_frame
 from startracker import Attitude, Observer, StarTracker, TrackingSession, load_catalog
 from startracker.catalog import guide as guides
 from startracker.centroid import METHODS as CENTROIDERS

@@ -22,7 +22,7 @@ _TIMED_FRAMES = 5
 def main(request: ExportRequest, scenario_file: Path) -> int:
     """Write the files, and print what they take; compiles where there is a compiler."""
     scenario = load_scenario(scenario_file, request.set_values or ())
-    design = flight_design(scenario, request.arithmetic or "fixed", request.identifier)
+    design = flight_design(scenario, request.arithmetic, request.identifier)
     export = flight_export(design, request.prefix)
     folder = write_export(export, request.out)
     camera = design.camera

@@ -322,7 +322,10 @@ class ExportRequest:
     arithmetic: Annotated[
         str | None,
         option(
-            "--arithmetic", "KIND", "fixed: integers; float: attitude in single precision; default: fixed.", _FLIGHT
+            "--arithmetic",
+            "KIND",
+            "fixed: integers; float: attitude in single precision; default: that of the scenario.",
+            _FLIGHT,
         ),
     ] = None
     identifier: Annotated[

@@ -22,12 +22,12 @@ from simulator.live.mission import LiveFrame, LiveMission
 from simulator.live.protocol import COMMANDS, PROTOCOL
 from simulator.renderer import Renderer
 from simulator.study.statistics import CAMERA_AXES
+from simulator.study.trackers import Session
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from startracker._version import __version__
 from startracker.arrays import FloatArray
 from startracker.catalog.names import designation, proper_name
 from startracker.solution import Solution
-from startracker.tracking import TrackingSession
 
 __all__ = ["frame_header", "solution_message", "truth_message", "welcome"]
 
@@ -81,7 +81,7 @@ def frame_header(live: LiveFrame, form: Any, encoded: Encoded) -> FrameHeader:
     )
 
 
-def solution_message(live: LiveFrame, session: TrackingSession, latency_ms: float) -> SolutionMessage:
+def solution_message(live: LiveFrame, session: Session, latency_ms: float) -> SolutionMessage:
     """What the tracker found; to be called before the next frame."""
     row, solution = live.tracked.row, live.tracked.solution
     attitude, covariance, rate = session.filter_attitude, session.covariance, session.rate_rad_s

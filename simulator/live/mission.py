@@ -21,8 +21,9 @@ from simulator.mission.epochs import elapsed_s
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.study.process_noise import process_noise
 from simulator.study.sequence.camera import Moment, SequenceCamera, TrackedFrame
-from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
+from simulator.study.sequence.true_motion import jitter_at, start_pointing, states_at
 from startracker.display import fields_repr
 from startracker.errors import BoresightError, InputError
 from startracker.tracking import GyroNoise, RateNoise

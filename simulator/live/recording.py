@@ -18,7 +18,8 @@ from simulator.paths import make_folder, write_atomically
 from simulator.scenario import Scenario
 from simulator.scenario.schema_sequence import DropoutSection
 from simulator.scenario.sequence_rules import MOST_FRAMES
-from simulator.study.sequence.true_motion import RECORDED_COLUMNS, process_noise
+from simulator.study.process_noise import process_noise
+from simulator.study.sequence.true_motion import RECORDED_COLUMNS
 from startracker._version import __version__
 from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, RateNoise

@@ -13,7 +13,7 @@ from datetime import timedelta
 from typing import Any
 
 from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
-from simulator.scenario import detector_rules, orbit_rules, pointing_rules, sequence_rules
+from simulator.scenario import detector_rules, flight_rules, orbit_rules, pointing_rules, sequence_rules
 from simulator.scenario.errors import Violation, impossible, unphysical
 from simulator.scenario.sequence_rules import EPHEMERIS
 
@@ -313,6 +313,7 @@ RULES: tuple[Rule, ...] = (
     _exposure,
     _converter,
     detector_rules.contradictions,
+    flight_rules.contradictions,
     detector_rules.telegraph_times,
     sequence_rules.contradictions,
     _guide_stars,

@@ -57,9 +57,21 @@ def _utc(value: datetime) -> datetime:
     return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
 
+class FlightSection(Section):
+    """The flight build of the tracker, as ``boresight export-c`` writes it."""
+
+    arithmetic: Literal["fixed", "float"] = "fixed"
+    """``fixed``: integers only; ``float``: attitudes and filter in single precision."""
+
+
 class TrackerSection(Section):
     """The star tracker that solves the frames."""
 
+    engine: Literal["reference", "flight"] = "reference"
+    """What runs: ``reference``, the tracker in Python with all its methods; ``flight``, the C that ``boresight
+    export-c`` writes for the scenario's camera, compiled on this machine."""
+    flight: FlightSection = FlightSection()
+    """Settings of the flight build."""
     catalog: str = "hipparcos"
     """Catalogue of guide stars."""
     magnitude_limit: FiniteFloat = 6.5

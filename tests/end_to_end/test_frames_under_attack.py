@@ -15,7 +15,7 @@ from scipy.special import erf
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.trials.trial import build_tracker
+from simulator.study.star_tracker import build_tracker
 from startracker import StarTracker
 
 CUBESAT = Path(__file__).resolve().parents[2] / "scenarios" / "cubesat_ideal.yaml"

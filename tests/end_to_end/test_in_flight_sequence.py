@@ -8,8 +8,8 @@ import pytest
 from simulator import Scenario, render
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.run import run_sequence
+from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import CAMERA_AXES
-from simulator.study.trials.trial import build_tracker
 from startracker.tracking import TrackingSession
 
 pytestmark = pytest.mark.system

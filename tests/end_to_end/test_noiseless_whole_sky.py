@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from simulator import Renderer, Scenario
-from simulator.study.trials.trial import build_tracker, solve_frame
+from simulator.study.star_tracker import build_tracker
+from simulator.study.trials.trial import solve_frame
 from startracker import Attitude
 
 LIMIT_ARCSEC = 1.0

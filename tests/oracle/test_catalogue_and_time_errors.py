@@ -10,7 +10,8 @@ from simulator import Renderer, Scenario
 from simulator.fits import write_fits
 from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
 from simulator.study.sequence.run import run_sequence
-from simulator.study.trials.trial import TrialRunner, attitude_errors_deg, build_tracker
+from simulator.study.star_tracker import build_tracker
+from simulator.study.trials.trial import TrialRunner, attitude_errors_deg
 from startracker.catalog import load_catalog
 from startracker.constants import ARCSEC_RAD, MAS_RAD
 from startracker.geometry.image_map import pixel_slopes

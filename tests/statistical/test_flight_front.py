@@ -11,7 +11,7 @@ from scipy.stats import norm, poisson
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.flight.design import flight_design
-from simulator.study.trials.trial import build_tracker
+from simulator.study.star_tracker import build_tracker
 from startracker.centroid import maximum_likelihood
 from startracker.detection import find_components
 from startracker.flight.front_background import at_columns, background_lines

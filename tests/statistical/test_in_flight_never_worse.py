@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal, norm
 
 from simulator import Scenario
 from simulator.study.sequence.frames import SequenceRunner
-from simulator.study.trials.trial import build_tracker
+from simulator.study.star_tracker import build_tracker
 from startracker import Attitude, CalibratedSession, Camera, InFlightCalibration, Observer, StarTracker
 from startracker.calibration import InFlightSettings
 from startracker.calibration.applied import applied_change

@@ -17,7 +17,8 @@ from scipy.special import erf
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.trials.trial import build_tracker, solve_frame
+from simulator.study.star_tracker import build_tracker
+from simulator.study.trials.trial import solve_frame
 from startracker.centroid.result import Centroids
 from startracker.detection import METHODS, Background, estimate
 from startracker.geometry.camera import Camera

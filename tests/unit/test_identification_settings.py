@@ -128,7 +128,7 @@ def test_what_is_shown_is_loaded_without_a_warning():
 
 def test_a_scenario_gives_its_tracker_the_identifiers_settings():
     from simulator.build import build_camera
-    from simulator.study.trials.trial import build_tracker
+    from simulator.study.star_tracker import build_tracker
 
     scenario = load_scenario("sunsat")
     found = build_tracker(scenario, build_camera(scenario)).identification

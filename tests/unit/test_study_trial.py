@@ -97,7 +97,7 @@ def shifted_row(shift_arcsec, sigma_scale=1.0, renamed=False, same_catalog=True)
     if renamed:
         stars = replace(stars, catalog_id=np.concatenate([[1], stars.catalog_id[1:]]))
     solution = replace(solution, attitude=turned, covariance=solution.covariance * sigma_scale**2, stars=stars)
-    return runner._row(0, frame, truth, solution)
+    return runner.row(0, frame, truth, solution)
 
 
 def test_an_accurate_attitude_that_is_too_confident_is_inconsistent_and_not_wrong():
@@ -142,7 +142,7 @@ def test_what_noise_explains_has_this_cause():
     for index in range(8):
         frame, truth = runner.renderer.frame(index)
         solution = solve_frame(runner.tracker, frame)
-        row = runner._row(index, frame, truth, replace(solution, covariance=1e-2 * solution.covariance))
+        row = runner.row(index, frame, truth, replace(solution, covariance=1e-2 * solution.covariance))
         if row["inconsistent"]:
             assert row["inconsistent_cause"] == "noise"
             assert not row["wrong"]
@@ -158,7 +158,7 @@ def test_residuals_beyond_the_stated_errors_have_this_cause():
     solution = solve_frame(runner.tracker, frame)
     stars = replace(solution.stars, sigma_px=solution.stars.sigma_px / 10.0)
     far = Attitude.from_rotation_vector([1e-4, 0.0, 0.0], "camera", "camera") @ solution.attitude
-    row = runner._row(0, frame, truth, replace(solution, attitude=far, stars=stars))
+    row = runner.row(0, frame, truth, replace(solution, attitude=far, stars=stars))
     assert (row["inconsistent"], row["inconsistent_cause"]) == (True, "centroids")
 
 
@@ -170,7 +170,7 @@ def test_what_a_displaced_lens_explains_has_this_cause():
         runner = TrialRunner(Scenario.load("cubesat_ideal", overrides=keys))
         frame, truth = runner.renderer.frame(0)
         solution = solve_frame(runner.tracker, frame)
-        row = runner._row(0, frame, truth, solution)
+        row = runner.row(0, frame, truth, solution)
         assert row["nees"] > 100.0
         assert (row["misidentified"], row["inconsistent"], row["wrong"]) == (False, True, False)
         assert row["inconsistent_cause"] == "displaced"
@@ -182,7 +182,7 @@ def test_what_a_displaced_lens_explains_has_this_cause():
         np.testing.assert_allclose(np.array(error_deg) * 3600.0, turn_deg * 3600.0, atol=8.0)
         np.testing.assert_allclose(error_deg[:2], turn_deg[:2], atol=1.0 / 3600.0)
         far = Attitude.from_rotation_vector([0.03, 0.0, 0.0], "camera", "camera") @ solution.attitude
-        row = runner._row(0, frame, truth, replace(solution, attitude=far))
+        row = runner.row(0, frame, truth, replace(solution, attitude=far))
         assert (row["wrong"], row["inconsistent_cause"]) == (True, "unknown")
 
 

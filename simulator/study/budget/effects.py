@@ -42,6 +42,8 @@ class Effect:
 
 
 def _no_converter(scenario: Scenario) -> Changes:
+    if scenario.tracker.engine == "flight":  # which reads whole numbers: the effect cannot be switched off
+        return {}
     return {"detector.adc_bits": None, "detector.gain_e_per_dn": gain_e_per_dn(detector_parameters(scenario.detector))}
 
 

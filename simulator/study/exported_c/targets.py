@@ -6,10 +6,14 @@ gets files and output by semihosting. ``machine/`` has the starts of those that 
 
 from __future__ import annotations
 
+import os
+import shlex
 import shutil
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+
+from startracker.errors import InputError
 
 MACHINE = Path(str(files("simulator.study.exported_c") / "machine"))
 _PICOLIBC = "/usr/lib/picolibc/riscv64-unknown-elf"
@@ -113,6 +117,26 @@ RISCV32 = Target(
 )
 EMULATED = (CORTEX_M4, CORTEX_M7, M68K, RISCV64, RISCV32)
 """All but this machine."""
+
+
+_COMPILERS = ("cc", "gcc", "clang")
+
+
+def host_compiler() -> list[str]:
+    """Command of this machine's C compiler: that of the variable CC, or the first of cc, gcc and clang that there is.
+
+    Raises
+    ------
+    InputError
+        If there is none, or CC names one that is not installed.
+    """
+    named = shlex.split(os.environ.get("CC", ""))
+    for words in [named] if named else [[name] for name in _COMPILERS]:
+        if shutil.which(words[0]) is not None:
+            return words
+    if named:
+        raise InputError(f"CC={named[0]}: there is no such C compiler; install it, or unset CC")
+    raise InputError("there is no C compiler here (cc, gcc or clang); install one, or name one by the variable CC")
 
 
 def native_compiler() -> Target | None:

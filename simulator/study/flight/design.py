@@ -8,8 +8,8 @@ import math
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.schema_sequence import SequenceSection
-from simulator.study.sequence.true_motion import process_noise
-from simulator.study.trials.trial import build_tracker
+from simulator.study.process_noise import process_noise
+from simulator.study.star_tracker import build_tracker
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.identification_settings import IdentificationSettings
 from startracker.observer import Observer
@@ -20,17 +20,21 @@ _TRIADS = ("triads", "triads_integer")
 """Identifiers of the star tracker that a flight build has as ``triads``."""
 
 
-def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str | None = None) -> FlightDesign:
+def flight_design(
+    scenario: Scenario, arithmetic: str | None = None, identifier: str | None = None, renderer: Renderer | None = None
+) -> FlightDesign:
     """What the flight build of a scenario's camera is made for.
 
     Parameters
     ----------
     scenario : Scenario
         Camera, detector and settings of the tracker.
-    arithmetic : str
-        As in `FlightDesign`.
+    arithmetic : str, optional
+        As in `FlightDesign`; default: that of the scenario.
     identifier : str, optional
         As in `FlightDesign`; default: ``triads`` for a scenario with triads, else ``adaptive``.
+    renderer : Renderer, optional
+        Of the scenario, if there is one.
 
     Raises
     ------
@@ -39,7 +43,7 @@ def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str
     """
     if identifier is None:
         identifier = "triads" if scenario.tracker.identifier in _TRIADS else "adaptive"
-    renderer = Renderer(scenario)
+    renderer = renderer or Renderer(scenario)
     tracker = build_tracker(scenario, renderer.camera)
     psf = renderer.focal_plane.psfs.psf()
     frame, _ = renderer.frame(0)
@@ -53,7 +57,7 @@ def flight_design(scenario: Scenario, arithmetic: str = "fixed", identifier: str
         tracker.detection,
         tracker.centroid,
         _identification(scenario, tracker.identification, identifier),
-        arithmetic,
+        arithmetic or scenario.tracker.flight.arithmetic,
         identifier,
         _motion(scenario.sequence),
         TrackingSettings(),

@@ -28,20 +28,16 @@ from simulator.study.sequence.columns import (
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES
+from simulator.study.trackers import Session, session_of, tracker_of
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
-from simulator.study.trials.trial import (
-    attitude_errors_deg,
-    build_tracker,
-    in_field,
-    misidentified,
-    normalised_error_squared,
-)
+from simulator.study.trials.trial import attitude_errors_deg, in_field, misidentified, normalised_error_squared
 from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude
 from startracker.kernels import clock
 from startracker.solution import Solution
-from startracker.tracking import GyroNoise, RateNoise, TrackingSession
+from startracker.tracker import StarTracker
+from startracker.tracking import GyroNoise, RateNoise
 
 LEAST_PRIOR_DEG = 0.1
 _NO_WINDOWS: FloatArray = np.empty((0, 2))
@@ -116,10 +112,10 @@ class SequenceCamera:
 
     def __init__(self, scenario: Scenario, renderer: Renderer, start: Pointing, *, single: bool = False) -> None:
         self.scenario, self.renderer, self.start, self.single = scenario, renderer, start, single
-        self.tracker = build_tracker(scenario, renderer.camera)
+        self.tracker = tracker_of(scenario, renderer)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification = specification_of(scenario)
-        self.session = TrackingSession(self.tracker)
+        self.session: Session = session_of(self.tracker)
         """Replaced by `begin`."""
         self.operated: OperatedCamera | None = None
         """The camera with its rules of operation; None without rules."""
@@ -131,10 +127,11 @@ class SequenceCamera:
         scenario = self.scenario
         self.calibrated = None
         if scenario.tracker.in_flight_calibration.use:
+            assert isinstance(self.tracker, StarTracker)  # a rule of the scenario
             self.calibrated = CalibratedCamera(scenario, self.renderer, self.tracker)
             self.session = self.calibrated.session(noise)
         else:
-            self.session = TrackingSession(self.tracker, noise, exposure_s=self.renderer.exposure_s)
+            self.session = session_of(self.tracker, noise, self.renderer.exposure_s)
         if scenario.tracker.prior and prior is not None:  # uniform within the half width about each axis
             half_width_deg = max(scenario.pointing.error_deg, LEAST_PRIOR_DEG)
             self.session.reset(prior, half_width_deg / math.sqrt(3.0))

@@ -13,17 +13,12 @@ from simulator.mission.motion import MotionState, on_mounting
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.study.process_noise import process_noise
 from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.camera import LEAST_PRIOR_DEG, Moment, SequenceCamera, TrackedFrame
 from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.operation import OperatedCamera
-from simulator.study.sequence.true_motion import (
-    jitter_at,
-    process_noise,
-    recorded_states,
-    start_pointing,
-    states_at,
-)
+from simulator.study.sequence.true_motion import jitter_at, recorded_states, start_pointing, states_at
 from startracker.arrays import FloatArray
 
 __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]

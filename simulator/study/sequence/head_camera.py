@@ -18,8 +18,9 @@ from simulator.scenario.heads import head_values
 from simulator.scenario.schema import HeadSection
 from simulator.study.sequence.columns import NO_FRAME, error_columns, row_errors_deg
 from simulator.study.specification.requirements import specification_of
+from simulator.study.trackers import tracker_of
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
-from simulator.study.trials.trial import build_tracker, in_field, misidentified
+from simulator.study.trials.trial import in_field, misidentified
 from startracker.arrays import FloatArray
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion import Head
@@ -83,7 +84,7 @@ class HeadCamera:
         """Actual mounting, body to camera."""
         self.scenario = own.changed({"pointing.mounting": self.mounting.quat.tolist()})
         self.renderer = Renderer(self.scenario, camera_seed)
-        self.tracker = build_tracker(self.scenario, self.renderer.camera)
+        self.tracker = tracker_of(self.scenario, self.renderer)
         x, y, z = (value * ARCSEC_RAD for value in head.correlated_arcsec)
         sigma_rad = head.alignment_sigma_arcsec * ARCSEC_RAD
         bending_rad = self._bending_arcsec() * ARCSEC_RAD

@@ -15,10 +15,11 @@ from simulator.frame import Frame
 from simulator.mission.gyro import DEG_H, DEG_SQRT_H, GyroSamples, gyro_samples
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.study.process_noise import process_noise
 from simulator.study.sequence.camera import LEAST_PRIOR_DEG, TrackedFrame
 from simulator.study.sequence.columns import compared_columns, is_beyond, opening_columns, row_errors_deg, three_columns
 from simulator.study.sequence.head_camera import BodyState, HeadCamera, scenario_of_head
-from simulator.study.sequence.true_motion import jitter_at, process_noise, start_pointing, states_at
+from simulator.study.sequence.true_motion import jitter_at, start_pointing, states_at
 from simulator.study.specification.outcome import UNKNOWN, outcome_of
 from simulator.study.specification.requirements import specification_of
 from startracker.arrays import FloatArray

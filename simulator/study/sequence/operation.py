@@ -18,10 +18,9 @@ from simulator.optics.jitter_series import JitterMotion
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.true_defects import compare_defects
+from simulator.study.trackers import Session, Tracker
 from startracker.arrays import FloatArray
 from startracker.solution import Solution, Status
-from startracker.tracker import StarTracker
-from startracker.tracking import TrackingSession
 from startracker.tracking.operation import SensorOperation, Verdict, image_magnitudes, saturated_near
 
 DISCARDED = "discarded"
@@ -40,11 +39,11 @@ class OperatedCamera:
         The scenario.
     renderer : Renderer
         Renderer of the scenario, used with the exposures set by the rules.
-    tracker : StarTracker
+    tracker : StarTracker or FlightEngine
         The tracker, with its settings and catalogue.
     """
 
-    def __init__(self, scenario: Scenario, renderer: Renderer, tracker: StarTracker) -> None:
+    def __init__(self, scenario: Scenario, renderer: Renderer, tracker: Tracker) -> None:
         self.scenario = scenario
         self.renderer, settings = renderer, scenario.sequence.operation
         self.rules = SensorOperation(settings, tracker.detection, renderer.camera, renderer.exposure_s)
@@ -59,7 +58,7 @@ class OperatedCamera:
         """B − V and magnitude error of every measured star, (N, 2) per frame."""
 
     def expose(
-        self, k: int, state: MotionState, since_s: float, session: TrackingSession, jitter: JitterMotion | None
+        self, k: int, state: MotionState, since_s: float, session: Session, jitter: JitterMotion | None
     ) -> tuple[Frame, FrameTruth] | None:
         """Frame and truth at the exposure set by the rules, with their verdict; None while suspended."""
         self.exposure_s = self.rules.exposure_s
@@ -78,7 +77,7 @@ class OperatedCamera:
         self.verdict = self.rules.judge(frame.image, since_s, frame.saturation_dn, session.rate_rad_s)
         return frame, truth
 
-    def dropped(self, solution: Solution, session: TrackingSession) -> dict[str, Any]:
+    def dropped(self, solution: Solution, session: Session) -> dict[str, Any]:
         """Columns of a missing frame not caused by a rule."""
         self.verdict = Verdict("", "", None)
         return self.columns(None, solution, session)
@@ -88,7 +87,7 @@ class OperatedCamera:
         status = {"sun": SUSPENDED, "stale": str(Status.STALE)}.get(self.verdict.rule, DISCARDED)
         return {"status": status, "reason": self.verdict.reason}
 
-    def columns(self, frame: Frame | None, solution: Solution, session: TrackingSession) -> dict[str, Any]:
+    def columns(self, frame: Frame | None, solution: Solution, session: Session) -> dict[str, Any]:
         """Columns of a frame; also updates the maps of the sensor. To be called after the tracker."""
         row: dict[str, Any] = {
             "exposure_s": self.exposure_s,

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from simulator.frame import Frame, FrameTruth, TrueSources
-from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.sky.catalogue_errors import CatalogueErrors, with_errors
 from simulator.sky.celestial_frames import GALACTIC
 from simulator.study.specification.requirements import specification_of
 from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
+from simulator.study.trackers import Tracker, tracker_of
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from startracker.arrays import FloatArray
-from startracker.catalog import load_catalog
-from startracker.catalog.stars import StarCatalog
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.kernels import clock
 from startracker.solution import Solution
-from startracker.tracker import StarTracker
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")
 """Stages of the tracker with a column of their times; these, ``render_ms`` and ``solve_ms`` are the only columns that
@@ -38,27 +33,7 @@ _SIGMA = tuple(f"sigma_{axis}_deg" for axis in CAMERA_AXES)
 _BOUND = tuple(f"bound_{axis}_deg" for axis in CAMERA_AXES)
 
 
-def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
-    """Star tracker of a scenario's ``tracker`` section for a camera."""
-    section = scenario.tracker
-    catalog: str | StarCatalog = section.catalog
-    if section.catalogue_errors != CatalogueErrors():
-        catalog = _erroneous(load_catalog(section.catalog), section.catalogue_errors, scenario.seed)
-    return StarTracker(
-        camera,
-        catalog=catalog,
-        magnitude_limit=section.magnitude_limit,
-        detector=section.detector,
-        centroider=section.centroider,
-        identifier=section.identifier,
-        estimator=section.estimator,
-        detection=section.detection,
-        centroid=section.centroid,
-        identification=section.identification,
-    )
-
-
-def solve_frame(tracker: StarTracker, frame: Frame) -> Solution:
+def solve_frame(tracker: Tracker, frame: Frame) -> Solution:
     """Solve a frame with all data known on board."""
     return tracker.solve(frame)
 
@@ -138,19 +113,13 @@ def galactic_latitude_deg(attitude: Attitude) -> float:
     return math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
-@lru_cache(maxsize=2)
-def _erroneous(catalog: StarCatalog, errors: CatalogueErrors, seed: int) -> StarCatalog:
-    """Catalogue with the errors of a seed; the same object again, for which guide stars are selected once."""
-    return with_errors(catalog, errors, stream(seed, "catalogue errors"))
-
-
 class TrialRunner:
     """Renders and solves trials of one scenario; common data is built once."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.renderer = Renderer(scenario)
-        self.tracker = build_tracker(scenario, self.renderer.camera)
+        self.tracker = tracker_of(scenario, self.renderer)
         self.same_catalog = scenario.sky.catalog == scenario.tracker.catalog
         self.specification = specification_of(scenario)
 
@@ -161,14 +130,15 @@ class TrialRunner:
         rendered = clock()
         solution = solve_frame(self.tracker, frame)
         solved = clock()
-        row = self._row(index, frame, truth, solution)
+        row = self.row(index, frame, truth, solution)
         row["render_ms"] = (rendered - started) * 1e3
         row["solve_ms"] = (solved - rendered) * 1e3
         for stage in STAGES:
             row[f"{stage}_ms"] = float(solution.times_ms.get(stage, math.nan))
         return row
 
-    def _row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
+    def row(self, index: int, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, Any]:
+        """Row of a frame that was solved, without its times."""
         scenario, sources, true = self.scenario, truth.sources, truth.attitude_at_tag
         block, k = self.renderer.scenes.block(index)
         row: dict[str, Any] = {

@@ -22,6 +22,7 @@ from startracker.kernels import is_compiled
 
 if TYPE_CHECKING:
     from simulator.scenario import Scenario
+    from simulator.study.trackers import Tracker
     from simulator.study.trials.trial import TrialRunner
     from startracker.tracker import StarTracker
 
@@ -30,15 +31,17 @@ _ORION_RA_DEG, _ORION_DEC_DEG = 83.0, 0.0
 
 
 def warm_up(scenario: Scenario) -> None:
-    """Compile the kernels needed by the trials of a scenario, unless compiled earlier.
+    """Compile the kernels needed by the trials of a scenario, and its flight build, unless compiled earlier.
 
     Once, on two cores, instead of in every worker.
     """
     from simulator.study.trials.trial import TrialRunner
 
-    if is_compiled(_TASK):
+    if is_compiled(_TASK) and scenario.tracker.engine == "reference":
         return
     runner = TrialRunner(scenario)
+    if is_compiled(_TASK):
+        return
     with compiling_beside(runner), contextlib.suppress(BoresightError):  # errors are reported by the trials themselves
         runner.run(0)
 
@@ -50,7 +53,9 @@ def compiling_beside(runner: TrialRunner) -> Iterator[None]:
     The process ends with the context. It is an aid only: without it, or if it is killed, this process compiles all
     kernels.
     """
-    if is_compiled(_TASK) or _cores() < 2:
+    from simulator.study.flight.engine import FlightEngine
+
+    if is_compiled(_TASK) or _cores() < 2 or isinstance(runner.tracker, FlightEngine):
         yield
         return
     beside = _started(runner.tracker)
@@ -62,7 +67,7 @@ def compiling_beside(runner: TrialRunner) -> Iterator[None]:
             beside.wait()
 
 
-def _started(tracker: StarTracker) -> subprocess.Popen[bytes] | None:
+def _started(tracker: Tracker) -> subprocess.Popen[bytes] | None:
     """The other process; None if there is no room for the file by which it receives the tracker, or a plug-in's
     function cannot be pickled."""
     command = [sys.executable, "-c", "from simulator.study.trials.warm_up import solve_field; solve_field()"]

@@ -16,7 +16,7 @@ import numpy as np
 from simulator.frame import Frame, FrameTruth
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.study.trials.trial import build_tracker
+from simulator.study.star_tracker import build_tracker
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values

@@ -11,6 +11,7 @@ import numpy as np
 
 from simulator.scenario import Scenario
 from simulator.study.sequence.frames import SequenceRunner
+from simulator.study.star_tracker import build_tracker
 from simulator.theses.figures import figures, section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
@@ -118,14 +119,14 @@ def flight_frames(images: Sequence[int] | None = None) -> list[SolvedFrame]:
         limits=limits_of(scenario),
     )
     fov_deg = cropped_field_deg(field_deg(*_FULL_FIELD_MM))
-    out = []
+    out, tracker = [], build_tracker(scenario, runner.renderer.camera)
     for image in images or range(1, len(runner.states) + 1):
         state = runner.states[image - 1]
         frame, truth = runner.renderer.frame(
             image - 1, at_s=state.t_s, attitude=state.camera, rate_camera_rad_s=state.rate_camera_rad_s
         )
         shown = show(frame, truth, scenario.tracker.detection, fov_deg, _MOST_STARS)
-        out.append(solve_shown(image, shown, options, runner.tracker))
+        out.append(solve_shown(image, shown, options, tracker))
     return out
 
 
