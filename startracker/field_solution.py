@@ -16,7 +16,6 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.observed import Identification
 from startracker.observer import Observer
-from startracker.records import changed, made
 from startracker.refine import Measured, Refined
 from startracker.refine_stars import refine_stars
 from startracker.solution import MatchedStars, Solution, Status
@@ -75,7 +74,7 @@ def solution_of(
         known = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
     directions = None if free else field.directions
     refined, bodies = refine_stars(pairs, field.stars, known, field.guide, estimator, directions, field.observer)
-    solution = changed(_solved(found, refined, field, camera, clock), bodies=bodies)
+    solution = replace(_solved(found, refined, field, camera, clock), bodies=bodies)
     used = refined.used
     return solution, Fitted(refined.pairs[used], refined.residual_px[used], refined.matrix, refined.camera)
 
@@ -88,8 +87,7 @@ def _solved(found: Identification, refined: Refined, field: Field, camera: Camer
     else:
         floor_px = guide.catalog.position_sigma_rad / camera.pixel_rad
         sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
-    stars = made(
-        MatchedStars,
+    stars = MatchedStars(
         xy=measured.xy[used],
         catalog_id=guide.catalog.id[chosen],
         name=guide.catalog.star_name[chosen],
@@ -100,8 +98,7 @@ def _solved(found: Identification, refined: Refined, field: Field, camera: Camer
         sigma_px=sigma_px,
     )
     clock.lap("attitude")
-    return made(
-        Solution,
+    return Solution(
         status=Status.SOLVED,
         reason=found.reason + _focal_correction(refined.camera.fx / camera.fx),
         attitude=Attitude.from_matrix(refined.matrix),

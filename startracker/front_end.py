@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -25,7 +25,6 @@ from startracker.explain import background_step, centroid_step, detection_steps,
 from startracker.geometry.camera import Camera
 from startracker.given_image import GivenImage
 from startracker.kernels import clock
-from startracker.records import changed
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
@@ -138,7 +137,7 @@ def find_stars(
         steps.append(partial(background_step, background))
         looks = _Looks(given, found, pixels, background, spots, measure, detection, centroid, clock, camera)
         stars = looks.points(spots) if camera is None else looks.decided()
-        return changed(stars, steps=Steps(*steps, stars.steps))
+        return replace(stars, steps=Steps(*steps, stars.steps))
     except InputError as error:
         return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
 
@@ -156,7 +155,7 @@ def _detect(
         if hot:
             background = _background(pixels, detection)
             spots = detect(fill_gaps(pixels), background, detection, saturation_dn)
-            spots = changed(spots, rejected={**spots.rejected, "hot pixel": hot})
+            spots = replace(spots, rejected={**spots.rejected, "hot pixel": hot})
     clock.lap("detection")
     return pixels, background, spots
 
@@ -192,7 +191,7 @@ class _Looks:
         elif (spots.direction_rad is not None or self._left_out_trails()) and self._trails_win():
             first, second = second, first
         found = first()
-        return changed(found or self.points(spots), other=second)
+        return replace(found or self.points(spots), other=second)
 
     def _left_out_trails(self) -> bool:
         """Whether the detector rejected so many trails that they may be the stars."""
@@ -244,7 +243,7 @@ class _Looks:
 
     def _found(self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], trailed: bool) -> FoundStars:
         if self.centroid.camera_model_px > 0.0:
-            stars = changed(stars, covariance=stars.covariance + self.centroid.camera_model_px**2 * np.eye(2))
+            stars = replace(stars, covariance=stars.covariance + self.centroid.camera_model_px**2 * np.eye(2))
         return FoundStars(
             stars.xy,
             stars.flux,

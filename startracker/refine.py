@@ -32,7 +32,6 @@ from startracker.geometry.linalg import solve, turned
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.outliers import FEWEST_STARS, MOST_STARS, average, is_suspicious, log_weight, rows_of
-from startracker.records import made
 from startracker.seen_stars import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.sorting import median
 
@@ -148,9 +147,7 @@ def refine(
     if not same(named[fits], used):
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - field.seen(named[:, 1], matrix)[0]
-    return made(
-        Refined, matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera
-    )
+    return Refined(matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera)
 
 
 def _matched(

@@ -38,7 +38,6 @@ from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.records import changed
 from startracker.refine import Measured
 from startracker.refine_stars import selected, stated_errors
 from startracker.registry import lookup
@@ -174,7 +173,7 @@ class StarTracker:
         tips = hints(
             solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
         )
-        return changed(solution, steps=Steps(steps, solution.steps, partial(attitude_steps, solution), tips))
+        return replace(solution, steps=Steps(steps, solution.steps, partial(attitude_steps, solution), tips))
 
     def solve_centroids(
         self,
@@ -223,7 +222,7 @@ class StarTracker:
             partial(attitude_steps, solution),
             hints(solution.status, len(points), known_camera=True),
         )
-        return changed(solution, reason=reason, steps=steps)
+        return replace(solution, reason=reason, steps=steps)
 
     # ------------------------------------------------------------------ points or trails
     def _solve_looks(
@@ -264,7 +263,7 @@ class StarTracker:
             and accepts(solution.log_false_alarm, self.identification)
         ):
             solution = replace(solution, reason=f"{solution.reason}; they may be fragments of trails")
-        return changed(solution, operations=operations), stars, steps
+        return replace(solution, operations=operations), stars, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
@@ -302,7 +301,7 @@ class StarTracker:
             reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
         contradicted = contradicted or solution.prior_contradicted
-        return changed(solution, steps=Steps(tried, solution.steps), prior_contradicted=contradicted)
+        return replace(solution, steps=Steps(tried, solution.steps), prior_contradicted=contradicted)
 
     def _checked(
         self, found: Identification, observed: Observed, field: Field, prior: Prior | None, clock: Clock
@@ -320,7 +319,7 @@ class StarTracker:
             other, fit = solution_of(again, field, self.camera, self._estimate, clock)
             if not self._refusal(other, fit, field):
                 outside = prior is not None and not prior.allows(fit.matrix)
-                return changed(other, steps=steps, prior_contradicted=outside)
+                return replace(other, steps=steps, prior_contradicted=outside)
         refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {refusal}", clock, field.stars.xy)
         chance = solution.log_false_alarm
         return replace(refused, steps=steps, operations=again.operations, log_false_alarm=chance)

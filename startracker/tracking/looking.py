@@ -19,7 +19,6 @@ from startracker.errors import InputError
 from startracker.geometry.image_map import to_directions
 from startracker.given_centroids import SAME_STAR_PX
 from startracker.observer import Observer
-from startracker.records import made
 from startracker.refine_stars import IMAGE_FLOOR_PX, STATED_PX
 from startracker.tracker import StarTracker
 from startracker.tracking.matching import expected_stars, spreads
@@ -98,7 +97,7 @@ class Sky:
             beside = beside_bodies(directions, observer, self.pixel_rad)
             if beside.any():
                 index, directions, predicted = index[~beside], directions[~beside], predicted[~beside]
-        return made(Expected, index=index, directions=directions, predicted=predicted)
+        return Expected(index=index, directions=directions, predicted=predicted)
 
     def _seen_by(self, observer: Observer | None) -> SkyView:
         if observer is None:
@@ -120,8 +119,7 @@ def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None
     rows = first_of_each(np.ascontiguousarray(xy), camera.width, camera.height, 0.0, SAME_STAR_PX)
     points = xy[rows]
     stated, sigma = filled(len(rows), STATED_PX), filled(len(rows), factor * STATED_PX)
-    seen = made(
-        Seen,
+    seen = Seen(
         xy=points,
         flux=filled(len(rows), math.nan) if flux is None else flux[rows],
         vectors=to_directions(points, camera.image_map),
