@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
 from startracker.front_end import Clock
@@ -83,7 +83,7 @@ def _solved(found: Identification, refined: Refined, field: Field, camera: Camer
     measured, guide = field.stars, field.guide
     used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
     if measured.variance_px2 is None:
-        sigma_px = filled(len(used), math.nan)
+        sigma_px = np.full(len(used), math.nan)
     else:
         floor_px = guide.catalog.position_sigma_rad / camera.pixel_rad
         sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
@@ -92,7 +92,7 @@ def _solved(found: Identification, refined: Refined, field: Field, camera: Camer
         catalog_id=guide.catalog.id[chosen],
         name=guide.catalog.star_name[chosen],
         v_mag=guide.v_mag[chosen],
-        flux=filled(len(used), math.nan) if measured.flux is None else measured.flux[used],
+        flux=np.full(len(used), math.nan) if measured.flux is None else measured.flux[used],
         residual_px=refined.residual_px,
         used=refined.used,
         sigma_px=sigma_px,

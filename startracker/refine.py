@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray, filled, same
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
@@ -122,7 +122,7 @@ def refine(
     """
     xy, known = stars.xy, stars.variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
-    sigma = filled(len(xy), 1.0) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
+    sigma = np.full(len(xy), 1.0) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
     directions = camera.unproject(xy) if directions is None else directions
     used, matrix, camera = _matched(pairs, xy, sigma, directions, camera, guide, known, free_focal)
     stated = np.zeros((len(xy), 2, 2))
@@ -144,7 +144,7 @@ def refine(
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
         common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
         covariance = covariance + rotation_of_shift(common_px2, camera)
-    if not same(named[fits], used):
+    if not np.array_equal(named[fits], used):
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - field.seen(named[:, 1], matrix)[0]
     return Refined(matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera)
@@ -240,7 +240,7 @@ class _Field(NamedTuple):
             fitting = named[fits]
             if len(fitting) < fewest:
                 break
-            if same(fitting, used) and same(merged, measured):
+            if np.array_equal(fitting, used) and np.array_equal(merged, measured):
                 break
             used, measured = fitting, merged
             pose, matrix, errors = self.fit(used, matrix, measured)
@@ -260,7 +260,7 @@ class _Field(NamedTuple):
             if not FEWEST_STARS <= len(stars) <= MOST_STARS:
                 return fit
             before, fit = fit, self._averaged(fit, stars)
-            if last or same(fit.used, before.used):
+            if last or np.array_equal(fit.used, before.used):
                 return fit
             # the attitude may have been far off, and stars not identified
             again = self.settled(fit.used, fit.matrix, len(fit.used))

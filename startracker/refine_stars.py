@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation import Estimator
@@ -23,7 +23,7 @@ IMAGE_FLOOR_PX = 0.1
 def stated_errors(stars: Measured) -> FloatArray:
     """Standard errors (N,) of the centroids on one axis, pixels, assumed for their identification."""
     if stars.variance_px2 is None:
-        return filled(len(stars.xy), STATED_PX)
+        return np.full(len(stars.xy), STATED_PX)
     return np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
 
 

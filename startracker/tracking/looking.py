@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import beside_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
@@ -118,10 +118,10 @@ def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None
     camera = tracker.camera
     rows = first_of_each(np.ascontiguousarray(xy), camera.width, camera.height, 0.0, SAME_STAR_PX)
     points = xy[rows]
-    stated, sigma = filled(len(rows), STATED_PX), filled(len(rows), factor * STATED_PX)
+    stated, sigma = np.full(len(rows), STATED_PX), np.full(len(rows), factor * STATED_PX)
     seen = Seen(
         xy=points,
-        flux=filled(len(rows), math.nan) if flux is None else flux[rows],
+        flux=np.full(len(rows), math.nan) if flux is None else flux[rows],
         vectors=to_directions(points, camera.image_map),
         gate_px=sigma,
         sigma_px=sigma,
