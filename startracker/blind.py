@@ -171,7 +171,16 @@ def _points_of_image(
         explained = (*found.steps, *hints(found.status, 0, known_camera=False))
         return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
     rows, columns = np.shape(given.image)
-    return _Points(columns, rows, found.xy, found.flux, found.variance_px2, found.steps, found.saturated, settings)
+    return _Points(
+        columns,
+        rows,
+        found.stars.xy,
+        found.stars.flux,
+        found.stars.variance_px2,
+        found.steps,
+        found.saturated,
+        settings,
+    )
 
 
 def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:

@@ -10,13 +10,14 @@ import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
+from startracker.centroid.result import Measured
 from startracker.estimation import Estimator
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.observed import Identification
 from startracker.observer import Observer
-from startracker.refine import Measured, Refined
+from startracker.refine import Refined
 from startracker.refine_stars import refine_stars
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.unexplained import Fitted

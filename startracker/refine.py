@@ -12,6 +12,7 @@ import numpy as np
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
+from startracker.centroid.result import Measured
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
 from startracker.estimation.few_stars import of_unknown_errors, with_doubt
 from startracker.estimation.field_fit import Estimator, FieldFit, takes_field
@@ -67,24 +68,6 @@ class Refined:
     """Measured minus predicted by the attitude and the camera, (M, 2)."""
     camera: Camera
     """The given camera, or the one with fitted focal length."""
-
-
-class Measured(NamedTuple):
-    """Centroids of an image and their errors."""
-
-    xy: FloatArray
-    """Pixels, (N, 2)."""
-    flux: FloatArray | None = None
-    """Signal, (N,)."""
-    variance_px2: FloatArray | None = None
-    """Variance on one axis, (N,); None: equal and estimated from the residuals."""
-    covariance_px2: FloatArray | None = None
-    """Covariance, (N, 2, 2), if the axes differ, as for streaks."""
-    common_px2: FloatArray | None = None
-    """Covariance of an error common to all centroids, (2, 2), which rotates the attitude and does not appear in
-    residuals."""
-    misfit: float | None = None
-    """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
 
 
 def refine(

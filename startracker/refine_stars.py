@@ -9,10 +9,11 @@ import numpy as np
 from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
 from startracker.catalog.guide import GuideDatabase
+from startracker.centroid.result import Measured
 from startracker.estimation import Estimator
 from startracker.geometry.camera import Camera
 from startracker.observer import Observer
-from startracker.refine import Measured, Refined, refine
+from startracker.refine import Refined, refine
 
 STATED_PX = 0.15
 """Centroid error assumed for centroids given without one; identification tries up to ten times as much."""

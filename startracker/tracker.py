@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,14 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import as_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.centroid.result import Measured
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.field_fit import Estimator, takes_field
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
 from startracker.field_solution import Field, solution_of
 from startracker.free_search import FreeSearch
-from startracker.front_end import Clock, FoundStars, find_stars
+from startracker.front_end import Clock, FoundStars, star_hypotheses
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.given_centroids import stated_variance, usable_centroids
@@ -38,7 +40,6 @@ from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.refine import Measured
 from startracker.refine_stars import selected, stated_errors
 from startracker.registry import lookup
 from startracker.setting_checks import BELOW_1, settings_or_default
@@ -47,7 +48,7 @@ from startracker.solution import Solution, Status
 from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps
 from startracker.unexplained import Fitted, reason_to_refuse
-from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
+from startracker.whole_field import explains_bright_stars, misfit_px, strongest, trail_fragments_possible
 
 
 class StarTracker:
@@ -161,17 +162,19 @@ class StarTracker:
             An image that cannot be solved does not raise; see the status and the reason.
         """
         clock, given = Clock(), given_image(image, observer, time, saturation_dn, gain_e_per_dn)
-        found = find_stars(given, self._detect, self._measure, self.detection, self.centroid, clock, camera=self.camera)
+        stages = self._detect, self._measure, self.detection, self.centroid
+        hypotheses = star_hypotheses(given, *stages, clock, self.camera)
+        found = next(hypotheses)
         if found.status is not None:
             explained = (*found.steps, *hints(found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=explained)
         hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
-        solution, found, steps = self._solve_looks(found, hint, given.observer, clock)
+        solution, found, steps = self._best_hypothesis(chain((found,), hypotheses), hint, given.observer, clock)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
         tips = hints(
-            solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
+            solution.status, len(found.stars.xy), known_camera=True, saturated=found.saturated, settings=self.detection
         )
         return replace(solution, steps=Steps(steps, solution.steps, partial(attitude_steps, solution), tips))
 
@@ -225,45 +228,40 @@ class StarTracker:
         return replace(solution, reason=reason, steps=steps)
 
     # ------------------------------------------------------------------ points or trails
-    def _solve_looks(
-        self, found: FoundStars, prior: Prior | None, observer: Observer | None, clock: Clock
+    def _best_hypothesis(
+        self, hypotheses: Iterable[FoundStars], prior: Prior | None, observer: Observer | None, clock: Clock
     ) -> tuple[Solution, FoundStars, Sequence[Step]]:
         """Solution, the stars it was computed from, and the steps that led to these.
 
-        If the more likely hypothesis (points or trails) does not explain the whole field, the other one is tried as
+        If the more likely hypothesis (points or trails) does not explain the bright stars, the other one is tried as
         well, and the solution with the stronger evidence is returned. Fragments of trails lie close to their stars with
         a common offset: a solution from points is only accepted if they cannot be fragments.
         """
         guide = self.guide.seen_by(observer)
-        looks: list[tuple[FoundStars, Solution]] = []
-        for look in (found, found.other):
-            stars = look() if callable(look) else look
-            if stars is None:
-                continue
-            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2, stars.misfit
-            tried = self._solve(Measured(stars.xy, stars.flux, *errors), prior, observer, guide, clock)
-            looks.append((stars, tried))
-            if tried.solved and is_whole(tried, tried.without_bodies(stars.flux), guide, stars.trailed):
+        tried: list[tuple[FoundStars, Solution]] = []
+        for found in hypotheses:
+            solution = self._solve(found.stars, prior, observer, guide, clock)
+            tried.append((found, solution))
+            if solution.solved and explains_bright_stars(
+                solution, _flux_of_stars(found, solution), guide, found.trailed
+            ):
                 break
-        stars, solution = best_look(looks)
-        operations, trailed = sum(tried.operations for _, tried in looks), any(look.trailed for look, _ in looks)
-        steps: Sequence[Step] = stars.steps
-        for other, tried in looks:
-            if other is not stars:
-                steps = (*other.steps, *tried.steps, *attitude_steps(tried), *steps)
-        flux = solution.without_bodies(stars.flux)
-        if not stars.trailed and solution.solved and may_be_pieces(solution, flux, guide, trailed):
+        found, solution = strongest(tried)
+        operations, trailed = sum(one.operations for _, one in tried), any(one.trailed for one, _ in tried)
+        steps: Sequence[Step] = found.steps
+        for other, unused in tried:
+            if other is not found:
+                steps = (*other.steps, *unused.steps, *attitude_steps(unused), *steps)
+        if found.trailed:
+            return replace(solution, operations=operations), found, steps
+        flux = _flux_of_stars(found, solution)
+        if solution.solved and trail_fragments_possible(solution, flux, guide, trailed):
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
-            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
+            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, found.stars.xy)
             solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
-        elif (
-            trailed
-            and not stars.trailed
-            and not solution.solved
-            and accepts(solution.log_false_alarm, self.identification)
-        ):
+        elif trailed and not solution.solved and accepts(solution.log_false_alarm, self.identification):
             solution = replace(solution, reason=f"{solution.reason}; they may be fragments of trails")
-        return replace(solution, operations=operations), stars, steps
+        return replace(solution, operations=operations), found, steps
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
@@ -363,3 +361,9 @@ class StarTracker:
             times_ms=clock.times_ms(),
             camera=self.camera,
         )
+
+
+def _flux_of_stars(found: FoundStars, solution: Solution) -> FloatArray:
+    """Signal of the centroids, without those of bodies of the solar system."""
+    assert found.stars.flux is not None
+    return solution.without_bodies(found.stars.flux)
