@@ -171,16 +171,8 @@ def _points_of_image(
         explained = (*found.steps, *hints(found.status, 0, known_camera=False))
         return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
     rows, columns = np.shape(given.image)
-    return _Points(
-        columns,
-        rows,
-        found.stars.xy,
-        found.stars.flux,
-        found.stars.variance_px2,
-        found.steps,
-        found.saturated,
-        settings,
-    )
+    xy, flux, variance = found.stars[:3]
+    return _Points(columns, rows, xy, flux, variance, found.steps, found.saturated, settings)
 
 
 def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:

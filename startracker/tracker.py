@@ -242,9 +242,8 @@ class StarTracker:
         for found in hypotheses:
             solution = self._solve(found.stars, prior, observer, guide, clock)
             tried.append((found, solution))
-            if solution.solved and explains_bright_stars(
-                solution, _flux_of_stars(found, solution), guide, found.trailed
-            ):
+            flux = _flux_of_stars(found, solution)
+            if solution.solved and explains_bright_stars(solution, flux, guide, found.trailed):
                 break
         found, solution = strongest(tried)
         operations, trailed = sum(one.operations for _, one in tried), any(one.trailed for one, _ in tried)
