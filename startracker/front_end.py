@@ -28,7 +28,7 @@ from startracker.kernels import clock
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
-from startracker.trace import Step, Steps
+from startracker.trace import Step, Trace
 from startracker.trails import Trails, find_trails, mid_exposure
 
 _WHITE_SHARE = 0.5
@@ -71,8 +71,6 @@ class FoundStars:
     saturated_share: float = 0.0
     saturation_dn: float = math.inf
     """Fraction of saturated pixels, and the saturation level."""
-    steps: Sequence[Step] = ()
-    """Explanation of what was found."""
 
 
 def find_stars(
@@ -83,9 +81,10 @@ def find_stars(
     centroid: CentroidSettings,
     clock: Clock,
     camera: Camera | None = None,
+    trace: Trace | None = None,
 ) -> FoundStars:
     """Stars of an image under the more likely hypothesis of `star_hypotheses`, whose parameters these are."""
-    return next(star_hypotheses(given, detect, measure, detection, centroid, clock, camera))
+    return next(star_hypotheses(given, detect, measure, detection, centroid, clock, camera, trace))
 
 
 def star_hypotheses(
@@ -96,6 +95,7 @@ def star_hypotheses(
     centroid: CentroidSettings,
     clock: Clock,
     camera: Camera | None = None,
+    trace: Trace | None = None,
 ) -> Iterator[FoundStars]:
     """Background, detection and centroids of an image: its stars as points and as trails, the more likely first.
 
@@ -113,41 +113,40 @@ def star_hypotheses(
         If given, the image must have its shape, and trails are fitted (`startracker.trails`) with their midpoints
         corrected for the camera's projection. Otherwise there is one hypothesis, in which `measure` takes short trails
         as the detector finds them.
+    trace : list, optional
+        What is found is appended to it.
 
     Yields
     ------
     FoundStars
         An image that cannot be used gives one with a status; it does not raise.
     """
+    trace = [] if trace is None else trace
     shape = None if camera is None else (camera.height, camera.width)
     found, fault = survey(given.image, shape, given.saturation_dn)
     if found is None:
         yield FoundStars(status=Status.BAD_IMAGE, reason=fault)
         return
     share, level = found.saturated_share, found.saturation_dn
-    steps: list[Callable[[], Step | Sequence[Step]]] = [
-        partial(image_step, found.pixels.shape, image_sample(found.pixels), share, level)
-    ]
+    trace.append(partial(image_step, found.pixels.shape, image_sample(found.pixels), share, level))
     if found.masked:
-        text = f"{found.masked} pixels masked: their values cannot be caused by light"
-        steps.append(partial(Step, "image", text))
+        trace.append(Step("image", f"{found.masked} pixels masked: their values cannot be caused by light"))
     if share > _WHITE_SHARE:
-        yield FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=Steps(*steps))
+        yield FoundStars(status=Status.SATURATED, reason=says_saturated(share, level))
         return
     if found.highest == found.lowest:
-        reason = f"every pixel is {found.highest:g}"
-        yield FoundStars(status=Status.NO_STARS, reason=reason, steps=Steps(*steps))
+        yield FoundStars(status=Status.NO_STARS, reason=f"every pixel is {found.highest:g}")
         return
     try:
         pixels, background, spots = _detect(found, detect, detection, given.saturation_dn, clock)
-        steps.append(partial(background_step, background))
-        frame = _FrameStars(given, found, pixels, background, spots, measure, detection, centroid, clock, camera)
+        trace.append(partial(background_step, background))
+        frame = _FrameStars(given, found, pixels, background, spots, measure, detection, centroid, clock, camera, trace)
         hypotheses = frame.hypotheses()
         first = next(hypotheses)
     except InputError as error:
-        yield FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
+        yield FoundStars(status=Status.BAD_IMAGE, reason=str(error))
         return
-    yield replace(first, steps=Steps(*steps, first.steps))
+    yield first
     yield from hypotheses
 
 
@@ -189,6 +188,7 @@ class _FrameStars:
     centroid: CentroidSettings
     clock: Clock
     camera: Camera | None
+    trace: Trace
 
     def hypotheses(self) -> Iterator[FoundStars]:
         """Points and trails, the more likely first; without a camera what the detector found."""
@@ -258,6 +258,7 @@ class _FrameStars:
     def _found(self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], trailed: bool) -> FoundStars:
         if self.centroid.camera_model_px > 0.0:
             stars = replace(stars, covariance=stars.covariance + self.centroid.camera_model_px**2 * np.eye(2))
+        self.trace.extend((step, partial(centroid_step, stars)))
         variance = (stars.covariance[:, 0, 0] + stars.covariance[:, 1, 1]) / 2.0
         return FoundStars(
             Measured(stars.xy, stars.flux, variance, stars.covariance, stars.common_px2, stars.misfit),
@@ -265,7 +266,6 @@ class _FrameStars:
             int(np.count_nonzero(stars.saturated)),
             saturated_share=self.survey.saturated_share,
             saturation_dn=self.survey.saturation_dn,
-            steps=Steps(step, partial(centroid_step, stars)),
         )
 
 
