@@ -28,7 +28,7 @@ from startracker.registry import lookup
 from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import Solution
-from startracker.trace import Step
+from startracker.trace import Step, Steps, Trace
 
 
 def solve_unknown_fov(
@@ -159,6 +159,7 @@ def _points_of_image(
 ) -> _Points | Solution:
     """Centroids of an image; a solution that says why if it cannot be used."""
     settings = settings_or_default("detection", detection, DetectionSettings)
+    trace: Trace = []
     found = find_stars(
         given,
         lookup("detectors", detecting.DETECTORS, detector),
@@ -166,12 +167,14 @@ def _points_of_image(
         settings,
         settings_or_default("centroid", centroid, CentroidSettings),
         clock,
+        trace=trace,
     )
     if found.status is not None:
-        explained = (*found.steps, *hints(found.status, 0, known_camera=False))
-        return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=explained)
+        trace.append(hints(found.status, 0, known_camera=False))
+        return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=Steps(*trace))
     rows, columns = np.shape(given.image)
-    return _Points(columns, rows, found.xy, found.flux, found.variance_px2, found.steps, found.saturated, settings)
+    xy, flux, variance = found.stars[:3]
+    return _Points(columns, rows, xy, flux, variance, Steps(*trace), found.saturated, settings)
 
 
 def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:

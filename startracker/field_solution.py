@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
+from startracker.centroid.result import Measured
 from startracker.estimation import Estimator
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.observed import Identification
 from startracker.observer import Observer
-from startracker.records import changed, made
-from startracker.refine import Measured, Refined
+from startracker.refine import Refined
 from startracker.refine_stars import refine_stars
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.unexplained import Fitted
@@ -75,7 +75,7 @@ def solution_of(
         known = replace(camera, fx=camera.fx * found.focal, fy=camera.fy * found.focal)
     directions = None if free else field.directions
     refined, bodies = refine_stars(pairs, field.stars, known, field.guide, estimator, directions, field.observer)
-    solution = changed(_solved(found, refined, field, camera, clock), bodies=bodies)
+    solution = replace(_solved(found, refined, field, camera, clock), bodies=bodies)
     used = refined.used
     return solution, Fitted(refined.pairs[used], refined.residual_px[used], refined.matrix, refined.camera)
 
@@ -84,24 +84,22 @@ def _solved(found: Identification, refined: Refined, field: Field, camera: Camer
     measured, guide = field.stars, field.guide
     used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
     if measured.variance_px2 is None:
-        sigma_px = filled(len(used), math.nan)
+        sigma_px = np.full(len(used), math.nan)
     else:
         floor_px = guide.catalog.position_sigma_rad / camera.pixel_rad
         sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
-    stars = made(
-        MatchedStars,
+    stars = MatchedStars(
         xy=measured.xy[used],
         catalog_id=guide.catalog.id[chosen],
         name=guide.catalog.star_name[chosen],
         v_mag=guide.v_mag[chosen],
-        flux=filled(len(used), math.nan) if measured.flux is None else measured.flux[used],
+        flux=np.full(len(used), math.nan) if measured.flux is None else measured.flux[used],
         residual_px=refined.residual_px,
         used=refined.used,
         sigma_px=sigma_px,
     )
     clock.lap("attitude")
-    return made(
-        Solution,
+    return Solution(
         status=Status.SOLVED,
         reason=found.reason + _focal_correction(refined.camera.fx / camera.fx),
         attitude=Attitude.from_matrix(refined.matrix),

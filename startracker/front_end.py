@@ -1,17 +1,17 @@
-"""From an image to star centroids: the stages before identification."""
+"""From an image to star centroids: the stages before identification, for stars as points and as trails."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.centroid import Centroider
-from startracker.centroid.result import Centroids
+from startracker.centroid.result import Centroids, Measured
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.components import find_trailed
 from startracker.detection.defects import fill_gaps, has_crowd, mask_impulses
@@ -25,11 +25,10 @@ from startracker.explain import background_step, centroid_step, detection_steps,
 from startracker.geometry.camera import Camera
 from startracker.given_image import GivenImage
 from startracker.kernels import clock
-from startracker.records import changed
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey
-from startracker.trace import Step, Steps
+from startracker.trace import Step, Trace
 from startracker.trails import Trails, find_trails, mid_exposure
 
 _WHITE_SHARE = 0.5
@@ -58,35 +57,20 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class FoundStars:
-    """Stars of an image, brightest first, or the reason why there are none."""
+    """Stars of an image under one hypothesis, brightest first, or the reason why there are none."""
 
-    xy: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    """Pixels, (N, 2)."""
-    flux: FloatArray = field(default_factory=lambda: np.empty(0))
-    """DN, (N,)."""
-    variance_px2: FloatArray = field(default_factory=lambda: np.empty(0))
-    """Variance of each centroid on one axis, (N,)."""
+    stars: Measured = field(default_factory=lambda: Measured(np.empty((0, 2)), np.empty(0), np.empty(0)))
+    """Centroids with flux and errors."""
+    trailed: bool = False
+    """Whether the stars are taken as trails: the centroids are their positions at mid-exposure."""
+    saturated: int = 0
+    """Number of saturated star images."""
     status: Status | None = None
     reason: str = ""
     """Set if the image cannot be used."""
     saturated_share: float = 0.0
     saturation_dn: float = math.inf
     """Fraction of saturated pixels, and the saturation level."""
-    steps: Sequence[Step] = ()
-    """Explanation of what was found."""
-    saturated: int = 0
-    """Number of saturated star images."""
-    covariance_px2: FloatArray | None = None
-    """Covariance of each centroid, (N, 2, 2); None: `variance_px2` on both axes."""
-    common_px2: FloatArray | None = None
-    """Covariance of an error common to all centroids (`Centroids.common_px2`), (2, 2)."""
-    misfit: float | None = None
-    """How far the star images are from those that were fitted (`Centroids.misfit`)."""
-    trailed: bool = False
-    """Whether the centroids are midpoints of trails."""
-    other: Callable[[], FoundStars | None] | None = None
-    """Returns the stars under the other hypothesis (trails instead of points, or points instead of trails), or None if
-    there are none."""
 
 
 def find_stars(
@@ -97,8 +81,25 @@ def find_stars(
     centroid: CentroidSettings,
     clock: Clock,
     camera: Camera | None = None,
+    trace: Trace | None = None,
 ) -> FoundStars:
-    """Background, detection, points or trails, and centroids of an image.
+    """Stars of an image under the more likely hypothesis of `star_hypotheses`, whose parameters these are."""
+    return next(star_hypotheses(given, detect, measure, detection, centroid, clock, camera, trace))
+
+
+def star_hypotheses(
+    given: GivenImage,
+    detect: Detector,
+    measure: Centroider,
+    detection: DetectionSettings,
+    centroid: CentroidSettings,
+    clock: Clock,
+    camera: Camera | None = None,
+    trace: Trace | None = None,
+) -> Iterator[FoundStars]:
+    """Background, detection and centroids of an image: its stars as points and as trails, the more likely first.
+
+    The second hypothesis is only measured when it is asked for.
 
     Parameters
     ----------
@@ -110,37 +111,43 @@ def find_stars(
         Records the times.
     camera : Camera, optional
         If given, the image must have its shape, and trails are fitted (`startracker.trails`) with their midpoints
-        corrected for the camera's projection. Otherwise `measure` takes short trails as the detector finds them.
+        corrected for the camera's projection. Otherwise there is one hypothesis, in which `measure` takes short trails
+        as the detector finds them.
+    trace : list, optional
+        What is found is appended to it.
 
-    Returns
-    -------
+    Yields
+    ------
     FoundStars
-        An image that cannot be used gives a status; it does not raise.
+        An image that cannot be used gives one with a status; it does not raise.
     """
+    trace = [] if trace is None else trace
     shape = None if camera is None else (camera.height, camera.width)
     found, fault = survey(given.image, shape, given.saturation_dn)
     if found is None:
-        return FoundStars(status=Status.BAD_IMAGE, reason=fault)
+        yield FoundStars(status=Status.BAD_IMAGE, reason=fault)
+        return
     share, level = found.saturated_share, found.saturation_dn
-    steps: list[Callable[[], Step | Sequence[Step]]] = [
-        partial(image_step, found.pixels.shape, image_sample(found.pixels), share, level)
-    ]
+    trace.append(partial(image_step, found.pixels.shape, image_sample(found.pixels), share, level))
     if found.masked:
-        text = f"{found.masked} pixels masked: their values cannot be caused by light"
-        steps.append(partial(Step, "image", text))
+        trace.append(Step("image", f"{found.masked} pixels masked: their values cannot be caused by light"))
     if share > _WHITE_SHARE:
-        return FoundStars(status=Status.SATURATED, reason=says_saturated(share, level), steps=Steps(*steps))
+        yield FoundStars(status=Status.SATURATED, reason=says_saturated(share, level))
+        return
     if found.highest == found.lowest:
-        reason = f"every pixel is {found.highest:g}"
-        return FoundStars(status=Status.NO_STARS, reason=reason, steps=Steps(*steps))
+        yield FoundStars(status=Status.NO_STARS, reason=f"every pixel is {found.highest:g}")
+        return
     try:
         pixels, background, spots = _detect(found, detect, detection, given.saturation_dn, clock)
-        steps.append(partial(background_step, background))
-        looks = _Looks(given, found, pixels, background, spots, measure, detection, centroid, clock, camera)
-        stars = looks.points(spots) if camera is None else looks.decided()
-        return changed(stars, steps=Steps(*steps, stars.steps))
+        trace.append(partial(background_step, background))
+        frame = _FrameStars(given, found, pixels, background, spots, measure, detection, centroid, clock, camera, trace)
+        hypotheses = frame.hypotheses()
+        first = next(hypotheses)
     except InputError as error:
-        return FoundStars(status=Status.BAD_IMAGE, reason=str(error), steps=Steps(*steps))
+        yield FoundStars(status=Status.BAD_IMAGE, reason=str(error))
+        return
+    yield first
+    yield from hypotheses
 
 
 def _detect(
@@ -156,7 +163,7 @@ def _detect(
         if hot:
             background = _background(pixels, detection)
             spots = detect(fill_gaps(pixels), background, detection, saturation_dn)
-            spots = changed(spots, rejected={**spots.rejected, "hot pixel": hot})
+            spots = replace(spots, rejected={**spots.rejected, "hot pixel": hot})
     clock.lap("detection")
     return pixels, background, spots
 
@@ -168,7 +175,7 @@ def _background(pixels: Image, detection: DetectionSettings) -> Background:
 
 
 @dataclass(frozen=True, eq=False)
-class _Looks:
+class _FrameStars:
     """The stars of one frame as points and as trails; each is only measured on demand."""
 
     given: GivenImage
@@ -181,18 +188,24 @@ class _Looks:
     centroid: CentroidSettings
     clock: Clock
     camera: Camera | None
+    trace: Trace
 
-    def decided(self) -> FoundStars:
-        """Stars of the more likely hypothesis; the other one as `FoundStars.other`."""
+    def hypotheses(self) -> Iterator[FoundStars]:
+        """Points and trails, the more likely first; without a camera what the detector found."""
         spots = self.spots
+        if self.camera is None:
+            yield self.points(spots)
+            return
         first: Callable[[], FoundStars | None] = partial(self.points, spots)
         second: Callable[[], FoundStars | None] = self.as_trails
         if spots.are_streaks:
             first, second = second, partial(self.points, spots.other or spots)
         elif (spots.direction_rad is not None or self._left_out_trails()) and self._trails_win():
             first, second = second, first
-        found = first()
-        return changed(found or self.points(spots), other=second)
+        yield first() or self.points(spots)
+        other = second()
+        if other is not None:
+            yield other
 
     def _left_out_trails(self) -> bool:
         """Whether the detector rejected so many trails that they may be the stars."""
@@ -244,19 +257,15 @@ class _Looks:
 
     def _found(self, stars: Centroids, step: Callable[[], Step | Sequence[Step]], trailed: bool) -> FoundStars:
         if self.centroid.camera_model_px > 0.0:
-            stars = changed(stars, covariance=stars.covariance + self.centroid.camera_model_px**2 * np.eye(2))
+            stars = replace(stars, covariance=stars.covariance + self.centroid.camera_model_px**2 * np.eye(2))
+        self.trace.extend((step, partial(centroid_step, stars)))
+        variance = (stars.covariance[:, 0, 0] + stars.covariance[:, 1, 1]) / 2.0
         return FoundStars(
-            stars.xy,
-            stars.flux,
-            (stars.covariance[:, 0, 0] + stars.covariance[:, 1, 1]) / 2.0,
+            Measured(stars.xy, stars.flux, variance, stars.covariance, stars.common_px2, stars.misfit),
+            trailed,
+            int(np.count_nonzero(stars.saturated)),
             saturated_share=self.survey.saturated_share,
             saturation_dn=self.survey.saturation_dn,
-            steps=Steps(step, partial(centroid_step, stars)),
-            saturated=int(np.count_nonzero(stars.saturated)),
-            covariance_px2=stars.covariance,
-            common_px2=stars.common_px2,
-            misfit=stars.misfit,
-            trailed=trailed,
         )
 
 

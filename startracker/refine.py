@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray, filled, same
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
+from startracker.centroid.result import Measured
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
 from startracker.estimation.few_stars import of_unknown_errors, with_doubt
 from startracker.estimation.field_fit import Estimator, FieldFit, takes_field
@@ -32,7 +33,6 @@ from startracker.geometry.linalg import solve, turned
 from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.outliers import FEWEST_STARS, MOST_STARS, average, is_suspicious, log_weight, rows_of
-from startracker.records import made
 from startracker.seen_stars import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.sorting import median
 
@@ -70,24 +70,6 @@ class Refined:
     """The given camera, or the one with fitted focal length."""
 
 
-class Measured(NamedTuple):
-    """Centroids of an image and their errors."""
-
-    xy: FloatArray
-    """Pixels, (N, 2)."""
-    flux: FloatArray | None = None
-    """Signal, (N,)."""
-    variance_px2: FloatArray | None = None
-    """Variance on one axis, (N,); None: equal and estimated from the residuals."""
-    covariance_px2: FloatArray | None = None
-    """Covariance, (N, 2, 2), if the axes differ, as for streaks."""
-    common_px2: FloatArray | None = None
-    """Covariance of an error common to all centroids, (2, 2), which rotates the attitude and does not appear in
-    residuals."""
-    misfit: float | None = None
-    """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
-
-
 def refine(
     pairs: IntArray,
     stars: Measured,
@@ -123,7 +105,7 @@ def refine(
     """
     xy, known = stars.xy, stars.variance_px2 is not None
     floor = guide.catalog.position_sigma_rad / camera.pixel_rad
-    sigma = filled(len(xy), 1.0) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
+    sigma = np.full(len(xy), 1.0) if stars.variance_px2 is None else np.sqrt(stars.variance_px2 + floor**2)
     directions = camera.unproject(xy) if directions is None else directions
     used, matrix, camera = _matched(pairs, xy, sigma, directions, camera, guide, known, free_focal)
     stated = np.zeros((len(xy), 2, 2))
@@ -145,12 +127,10 @@ def refine(
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
         common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
         covariance = covariance + rotation_of_shift(common_px2, camera)
-    if not same(named[fits], used):
+    if not np.array_equal(named[fits], used):
         named, fits = joined(used, named)
     residual = xy[named[:, 0]] - field.seen(named[:, 1], matrix)[0]
-    return made(
-        Refined, matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera
-    )
+    return Refined(matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera)
 
 
 def _matched(
@@ -243,7 +223,7 @@ class _Field(NamedTuple):
             fitting = named[fits]
             if len(fitting) < fewest:
                 break
-            if same(fitting, used) and same(merged, measured):
+            if np.array_equal(fitting, used) and np.array_equal(merged, measured):
                 break
             used, measured = fitting, merged
             pose, matrix, errors = self.fit(used, matrix, measured)
@@ -263,7 +243,7 @@ class _Field(NamedTuple):
             if not FEWEST_STARS <= len(stars) <= MOST_STARS:
                 return fit
             before, fit = fit, self._averaged(fit, stars)
-            if last or same(fit.used, before.used):
+            if last or np.array_equal(fit.used, before.used):
                 return fit
             # the attitude may have been far off, and stars not identified
             again = self.settled(fit.used, fit.matrix, len(fit.used))

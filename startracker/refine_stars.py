@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
 from startracker.catalog.guide import GuideDatabase
+from startracker.centroid.result import Measured
 from startracker.estimation import Estimator
 from startracker.geometry.camera import Camera
 from startracker.observer import Observer
-from startracker.refine import Measured, Refined, refine
+from startracker.refine import Refined, refine
 
 STATED_PX = 0.15
 """Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
@@ -23,7 +24,7 @@ IMAGE_FLOOR_PX = 0.1
 def stated_errors(stars: Measured) -> FloatArray:
     """Standard errors (N,) of the centroids on one axis, pixels, assumed for their identification."""
     if stars.variance_px2 is None:
-        return filled(len(stars.xy), STATED_PX)
+        return np.full(len(stars.xy), STATED_PX)
     return np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
 
 

@@ -23,6 +23,8 @@ class Step:
     text: str
 
 
+Trace = list[Step | Iterable[Step] | Callable[[], Step | Iterable[Step]]]
+"""Findings in the order in which the stages of a solve append them; a function formats its text when it is read."""
 Finding = TypeVar("Finding", Step, str)
 
 

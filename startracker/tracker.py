@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,14 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import as_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.centroid.result import Measured
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.field_fit import Estimator, takes_field
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
 from startracker.field_solution import Field, solution_of
 from startracker.free_search import FreeSearch
-from startracker.front_end import Clock, FoundStars, find_stars
+from startracker.front_end import Clock, FoundStars, star_hypotheses
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.given_centroids import stated_variance, usable_centroids
@@ -38,17 +40,15 @@ from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification_settings import settings_of
 from startracker.observer import Observer, observer_of
-from startracker.records import changed
-from startracker.refine import Measured
 from startracker.refine_stars import selected, stated_errors
 from startracker.registry import lookup
 from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.solution import Solution, Status
 from startracker.survey import SATURATED_SHARE, says_saturated
-from startracker.trace import Step, Steps
+from startracker.trace import Step, Steps, Trace
 from startracker.unexplained import Fitted, reason_to_refuse
-from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
+from startracker.whole_field import explains_bright_stars, misfit_px, strongest, trail_fragments_possible
 
 
 class StarTracker:
@@ -162,19 +162,22 @@ class StarTracker:
             An image that cannot be solved does not raise; see the status and the reason.
         """
         clock, given = Clock(), given_image(image, observer, time, saturation_dn, gain_e_per_dn)
-        found = find_stars(given, self._detect, self._measure, self.detection, self.centroid, clock, camera=self.camera)
+        trace: Trace = []
+        stages = self._detect, self._measure, self.detection, self.centroid
+        hypotheses = star_hypotheses(given, *stages, clock, self.camera, trace)
+        found = next(hypotheses)
         if found.status is not None:
-            explained = (*found.steps, *hints(found.status, 0, known_camera=True))
-            return replace(self._unsolved(found.status, found.reason, clock), steps=explained)
+            trace.append(hints(found.status, 0, known_camera=True))
+            return replace(self._unsolved(found.status, found.reason, clock), steps=Steps(*trace))
         hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
-        solution, found, steps = self._solve_looks(found, hint, given.observer, clock)
+        solution, found = self._best_hypothesis(chain((found,), hypotheses), hint, given.observer, clock, trace)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
             reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
-        tips = hints(
-            solution.status, len(found.xy), known_camera=True, saturated=found.saturated, settings=self.detection
-        )
-        return changed(solution, steps=Steps(steps, solution.steps, partial(attitude_steps, solution), tips))
+        seen, saturated = len(found.stars.xy), found.saturated
+        trace.append(partial(attitude_steps, solution))
+        trace.append(hints(solution.status, seen, known_camera=True, saturated=saturated, settings=self.detection))
+        return replace(solution, steps=Steps(*trace))
 
     def solve_centroids(
         self,
@@ -211,101 +214,104 @@ class StarTracker:
         clock, observer = Clock(), observer_of(observer, time)
         points, signal, rows = usable_centroids(xy, flux, self.camera)
         given = np.size(xy) // 2
+        trace: Trace = [partial(listed_step, given, points, signal)]
         guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, given, rows)
         measured = Measured(points, signal, variance)
-        solution = self._solve(measured, as_prior(prior, prior_deg), observer, guide, clock)
+        solution = self._solve(measured, as_prior(prior, prior_deg), observer, guide, clock, trace)
         reason, left_out = solution.reason, given - len(points)
         if left_out and not solution.solved:
             reason = f"{reason} ({left_out} centroids not finite, outside the image or repeated)"
-        steps = Steps(
-            partial(listed_step, given, points, signal),
-            solution.steps,
-            partial(attitude_steps, solution),
-            hints(solution.status, len(points), known_camera=True),
-        )
-        return changed(solution, reason=reason, steps=steps)
+        trace.append(partial(attitude_steps, solution))
+        trace.append(hints(solution.status, len(points), known_camera=True))
+        return replace(solution, reason=reason, steps=Steps(*trace))
 
     # ------------------------------------------------------------------ points or trails
-    def _solve_looks(
-        self, found: FoundStars, prior: Prior | None, observer: Observer | None, clock: Clock
-    ) -> tuple[Solution, FoundStars, Sequence[Step]]:
-        """Solution, the stars it was computed from, and the steps that led to these.
+    def _best_hypothesis(
+        self,
+        hypotheses: Iterable[FoundStars],
+        prior: Prior | None,
+        observer: Observer | None,
+        clock: Clock,
+        trace: Trace,
+    ) -> tuple[Solution, FoundStars]:
+        """Solution, and the stars it was computed from.
 
-        If the more likely hypothesis (points or trails) does not explain the whole field, the other one is tried as
+        If the more likely hypothesis (points or trails) does not explain the bright stars, the other one is tried as
         well, and the solution with the stronger evidence is returned. Fragments of trails lie close to their stars with
         a common offset: a solution from points is only accepted if they cannot be fragments.
         """
         guide = self.guide.seen_by(observer)
-        looks: list[tuple[FoundStars, Solution]] = []
-        for look in (found, found.other):
-            stars = look() if callable(look) else look
-            if stars is None:
-                continue
-            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2, stars.misfit
-            tried = self._solve(Measured(stars.xy, stars.flux, *errors), prior, observer, guide, clock)
-            looks.append((stars, tried))
-            if tried.solved and is_whole(tried, tried.without_bodies(stars.flux), guide, stars.trailed):
+        tried: list[tuple[FoundStars, Solution]] = []
+        for found in hypotheses:
+            solution = self._solve(found.stars, prior, observer, guide, clock, trace)
+            tried.append((found, solution))
+            flux = _flux_of_stars(found, solution)
+            if solution.solved and explains_bright_stars(solution, flux, guide, found.trailed):
                 break
-        stars, solution = best_look(looks)
-        operations, trailed = sum(tried.operations for _, tried in looks), any(look.trailed for look, _ in looks)
-        steps: Sequence[Step] = stars.steps
-        for other, tried in looks:
-            if other is not stars:
-                steps = (*other.steps, *tried.steps, *attitude_steps(tried), *steps)
-        flux = solution.without_bodies(stars.flux)
-        if not stars.trailed and solution.solved and may_be_pieces(solution, flux, guide, trailed):
+        found, solution = strongest(tried)
+        trace.extend(partial(attitude_steps, unused) for _, unused in tried if unused is not solution)
+        operations, trailed = sum(one.operations for _, one in tried), any(one.trailed for one, _ in tried)
+        if found.trailed:
+            return replace(solution, operations=operations), found
+        flux = _flux_of_stars(found, solution)
+        if solution.solved and trail_fragments_possible(solution, flux, guide, trailed):
+            trace.append(partial(attitude_steps, solution))
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
-            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, stars.xy)
-            solution = replace(refused, steps=(*solution.steps, *attitude_steps(solution)))
-        elif (
-            trailed
-            and not stars.trailed
-            and not solution.solved
-            and accepts(solution.log_false_alarm, self.identification)
-        ):
-            solution = replace(solution, reason=f"{solution.reason}; they may be fragments of trails")
-        return changed(solution, operations=operations), stars, steps
+            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, found.stars.xy)
+            return replace(refused, operations=operations), found
+        reason = solution.reason
+        if trailed and not solution.solved and accepts(solution.log_false_alarm, self.identification):
+            reason = f"{reason}; they may be fragments of trails"
+        return replace(solution, reason=reason, operations=operations), found
 
     # ------------------------------------------------------------------ the stages after the centroids
     def _solve(
-        self, stars: Measured, prior: Prior | None, observer: Observer | None, guide: GuideDatabase, clock: Clock
+        self,
+        stars: Measured,
+        prior: Prior | None,
+        observer: Observer | None,
+        guide: GuideDatabase,
+        clock: Clock,
+        trace: Trace,
     ) -> Solution:
-        tried: Sequence[Step] = ()
+        """Solution of centroids; what was tried is appended to the trace."""
         free_fit: Solution | None = None
         if self.focal_error > 0.0 and len(stars.xy) >= FEWEST_MATCHED:
-            free_fit, tried = self._free_fit(stars, observer, clock)
+            free_fit = self._free_fit(stars, observer, clock, trace)
             if is_beyond_doubt(free_fit, self.identification):
-                return replace(free_fit, times_ms=clock.times_ms(), steps=tried)
+                return replace(free_fit, times_ms=clock.times_ms())
         observed, usable, directions = self._observed(stars)
         if len(usable) > len(observed.vectors):
             text = f"the {len(observed.vectors)} brightest of {len(usable)} centroids are used (max_centroids)"
-            tried = (*tried, Step("identification", text))
+            trace.append(Step("identification", text))
         found, contradicted = identify_around(self._identify, observed, guide, self.identification, prior)
         clock.lap("identification")
         faintest = float(guide.v_mag[-1])  # brightest first
-        explained = partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera)
-        tried = Steps(tried, explained)
+        trace.append(partial(identification_steps, found.steps, found.reason, len(guide.v_mag), faintest, self.camera))
         if free_fit is not None:
             found = replace(found, operations=found.operations + free_fit.operations)
             if free_fit.solved and not (
                 found.status is Status.SOLVED and found.log_false_alarm < free_fit.log_false_alarm
             ):
-                return replace(free_fit, times_ms=clock.times_ms(), steps=tried, operations=found.operations)
+                return replace(free_fit, times_ms=clock.times_ms(), operations=found.operations)
         if found.status is not Status.SOLVED:
-            unsolved = self._unsolved(found.status, found.reason, clock, stars.xy)
-            chance, operations = found.log_false_alarm, found.operations
-            return replace(unsolved, steps=tried, log_false_alarm=chance, operations=operations)
+            return self._unsolved(found.status, found.reason, clock, stars.xy, found.log_false_alarm, found.operations)
         field = Field(stars, usable, directions, guide, observer)
         try:
-            solution = self._checked(found, observed, field, prior, clock)
+            solution = self._checked(found, observed, field, prior, clock, trace)
         except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
             reason = f"{found.reason}; but the estimator failed: {error}"
             return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
-        contradicted = contradicted or solution.prior_contradicted
-        return changed(solution, steps=Steps(tried, solution.steps), prior_contradicted=contradicted)
+        return replace(solution, prior_contradicted=True) if contradicted else solution
 
     def _checked(
-        self, found: Identification, observed: Observed, field: Field, prior: Prior | None, clock: Clock
+        self,
+        found: Identification,
+        observed: Observed,
+        field: Field,
+        prior: Prior | None,
+        clock: Clock,
+        trace: Trace,
     ) -> Solution:
         """Solution of an identification. If there is a `reason_to_refuse` it, its position in the sky may still be
         right: then the attitude about its stars that is accepted, or none."""
@@ -314,16 +320,15 @@ class StarTracker:
         if not refusal:
             return solution
         again = about_knot(found, observed, field.guide, self.identification)
-        tried = Step("identification", f"but {refusal}"), *(Step("identification", text) for text in again.steps)
-        steps = Steps(partial(attitude_steps, solution), tried)
+        trace.append(partial(attitude_steps, solution))
+        trace.extend(Step("identification", text) for text in (f"but {refusal}", *again.steps))
         if again.status is Status.SOLVED:
             other, fit = solution_of(again, field, self.camera, self._estimate, clock)
             if not self._refusal(other, fit, field):
                 outside = prior is not None and not prior.allows(fit.matrix)
-                return changed(other, steps=steps, prior_contradicted=outside)
-        refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {refusal}", clock, field.stars.xy)
-        chance = solution.log_false_alarm
-        return replace(refused, steps=steps, operations=again.operations, log_false_alarm=chance)
+                return replace(other, prior_contradicted=outside)
+        reason, chance = f"{solution.reason}; but {refusal}", solution.log_false_alarm
+        return self._unsolved(Status.NO_MATCH, reason, clock, field.stars.xy, chance, again.operations)
 
     def _refusal(self, solution: Solution, fit: Fitted, field: Field) -> str:
         """Why a solution is refused (`reason_to_refuse`); empty if it is not."""
@@ -335,15 +340,16 @@ class StarTracker:
 
         return reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, solution.bodies.centroid, identify)
 
-    def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
-        """Solution with fitted focal length, within its error, and the attempts."""
+    def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock, trace: Trace) -> Solution:
+        """Solution with fitted focal length, within its error."""
         stated, settings = stars.variance_px2, self.identification
         search = FreeSearch.about(self.camera, stars.xy, stars.flux, stated, self.catalog, settings, observer)
         search = replace(search, estimator=self.direction_estimator)
         found, band = search.run_about(self.focal_error)
         clock.lap("free_scale")
-        step = search_step(search.trials, (band,), (self.camera.parity,))
-        return found, (step, Step("identification", found.reason))
+        trace.append(search_step(search.trials, (band,), (self.camera.parity,)))
+        trace.append(Step("identification", found.reason))
+        return found
 
     def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
         """Directions for the identification, the centroids that have one, and those of all centroids."""
@@ -353,14 +359,30 @@ class StarTracker:
         signal = None if stars.flux is None else stars.flux[usable[:most]]
         return Observed(vectors[:most], signal, sigma[:most]), usable, directions
 
-    def _unsolved(self, status: Status, reason: str, clock: Clock, xy: FloatArray | None = None) -> Solution:
-        points = np.empty((0, 2)) if xy is None else xy
+    def _unsolved(
+        self,
+        status: Status,
+        reason: str,
+        clock: Clock,
+        xy: FloatArray | None = None,
+        log_false_alarm: float = 0.0,
+        operations: int = 0,
+    ) -> Solution:
+        """Solution without an attitude, of these centroids."""
         return Solution(
             status,
             reason,
-            centroids=points,
+            centroids=np.empty((0, 2)) if xy is None else xy,
             fov_deg=self.camera.fov_deg,
             parity=self.camera.parity,
             times_ms=clock.times_ms(),
             camera=self.camera,
+            log_false_alarm=log_false_alarm,
+            operations=operations,
         )
+
+
+def _flux_of_stars(found: FoundStars, solution: Solution) -> FloatArray:
+    """Signal of the centroids, without those of bodies of the solar system."""
+    assert found.stars.flux is not None
+    return solution.without_bodies(found.stars.flux)

@@ -22,7 +22,7 @@ _LEAST_MATCHED = 0.4
 are not guide stars."""
 
 
-def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase, trailed: bool = False) -> bool:
+def explains_bright_stars(solution: Solution, flux: FloatArray, guide: GuideDatabase, trailed: bool = False) -> bool:
     """Whether the residuals are those of stars, many of the bright spots are matched, and most of the brightest guide
     stars of the field are matched.
 
@@ -42,7 +42,7 @@ def is_whole(solution: Solution, flux: FloatArray, guide: GuideDatabase, trailed
     return len(brightest.intersection(stars.catalog_id.tolist())) >= _LEAST_SEEN * len(brightest)
 
 
-def may_be_pieces(solution: Solution, flux: FloatArray, guide: GuideDatabase, streaked: bool) -> bool:
+def trail_fragments_possible(solution: Solution, flux: FloatArray, guide: GuideDatabase, streaked: bool) -> bool:
     """Whether the matched points may be fragments of trails with a common offset.
 
     They may if their residuals are larger than those of stars, or if the frame has streaks with a common motion
@@ -51,13 +51,13 @@ def may_be_pieces(solution: Solution, flux: FloatArray, guide: GuideDatabase, st
     """
     if misfit_px(solution) > MISFIT_PX:
         return True
-    return streaked and not _many_bright(flux, solution.stars.flux) and not is_whole(solution, flux, guide)
+    return streaked and not _many_bright(flux, solution.stars.flux) and not explains_bright_stars(solution, flux, guide)
 
 
-def best_look(looks: Sequence[tuple[FoundStars, Solution]]) -> tuple[FoundStars, Solution]:
+def strongest(tried: Sequence[tuple[FoundStars, Solution]]) -> tuple[FoundStars, Solution]:
     """The solution with the strongest evidence of several hypotheses for a frame, solved ones first; the last one if
     there is no evidence."""
-    return min(reversed(looks), key=lambda look: (not look[1].solved, look[1].log_false_alarm))
+    return min(reversed(tried), key=lambda one: (not one[1].solved, one[1].log_false_alarm))
 
 
 def misfit_px(solution: Solution) -> float:

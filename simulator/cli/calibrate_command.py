@@ -100,4 +100,4 @@ def _field(path: Path, request: CalibrateRequest) -> StarField:
     if found.status is not None:
         raise InputError(f"{path}: {found.reason}")
     height, width = np.shape(given.image)
-    return StarField(path.name, found.xy, width, height, found.flux, found.variance_px2, observer)
+    return StarField(path.name, found.stars.xy, width, height, found.stars.flux, found.stars.variance_px2, observer)

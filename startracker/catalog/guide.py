@@ -26,7 +26,6 @@ from startracker.display import described
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
 from startracker.observer import Observer
-from startracker.records import changed
 from startracker.settings import IdentificationSettings
 
 RESOLVED_PX = 2.0
@@ -163,7 +162,7 @@ class GuideDatabase:
         parallax, beta = self.catalog.parallax_rad, velocity / SPEED_OF_LIGHT_KM_S
         start, motion = self._space_motion()
         directions = apparent_directions(start, motion, parallax, years, position, beta)
-        return changed(self, directions=directions, epoch_jyear=observer.epoch_jyear)
+        return replace(self, directions=directions, epoch_jyear=observer.epoch_jyear)
 
     def rows_of(self, catalog_id: IntArray) -> IntArray:
         """Rows (M,) of stars by their numbers in the catalogue, which must be guide stars."""

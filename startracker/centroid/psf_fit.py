@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,6 @@ from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.kernels import kernel
-from startracker.records import changed
 from startracker.settings import CentroidSettings
 
 _LARGEST_HALF_PX = 8
@@ -163,7 +163,7 @@ def _fit(
                     found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()))
             common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
     stars = collect(fits.table, _widths(psf), spots, frame.half, fits.group, SYSTEMATIC_PX)
-    return changed(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)
+    return replace(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)
 
 
 class _Fits(NamedTuple):

@@ -1,9 +1,10 @@
-"""What a centroider hands on."""
+"""Measured star positions: of a centroider, and as the stages after it use them."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +53,24 @@ class Centroids:
     def none(cls) -> Centroids:
         """No stars."""
         return cls(np.empty((0, 2)), np.empty(0), np.empty((0, 2, 2)), np.empty(0, np.bool_))
+
+
+class Measured(NamedTuple):
+    """Centroids of an image and their errors."""
+
+    xy: FloatArray
+    """Pixels, (N, 2)."""
+    flux: FloatArray | None = None
+    """Signal, (N,)."""
+    variance_px2: FloatArray | None = None
+    """Variance on one axis, (N,); None: equal and estimated from the residuals."""
+    covariance_px2: FloatArray | None = None
+    """Covariance, (N, 2, 2), if the axes differ, as for streaks."""
+    common_px2: FloatArray | None = None
+    """Covariance of an error common to all centroids, (2, 2), which rotates the attitude and does not appear in
+    residuals."""
+    misfit: float | None = None
+    """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
 
 
 def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:

@@ -20,7 +20,6 @@ from startracker.detection.thresholds import LONGEST_TIMES, OVERSIZED_CONTRAST, 
 from startracker.detection.trailed import decide, line_up, looks_trailed, select_trailed
 from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
-from startracker.records import changed
 from startracker.settings import DetectionSettings
 
 
@@ -80,7 +79,7 @@ def find_components(
         trails = find_trailed(pixels, background, settings, saturation_dn)
     if trails is None:
         spots = select_spots(table, settings, known, pixels, background, half, excess)
-        return changed(spots, direction_rad=line_up(table))
+        return replace(spots, direction_rad=line_up(table))
     more = replace(settings, max_stars=settings.max_stars + len(trails))  # short streaks may be among them
     points = select_spots(table, more, known, pixels, background, half, excess)
     return decide(trails, points, pixels, background, settings.max_stars)

@@ -19,7 +19,6 @@ from startracker.arguments import of_kind, real_array, real_number, text
 from startracker.arrays import FloatArray
 from startracker.errors import FrameMismatchError, InputError
 from startracker.interop import is_rotation, is_skycoord, rotation_quat, skycoord_deg
-from startracker.records import made
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 _UNIT = 4.0 * np.finfo(float).eps
@@ -147,9 +146,7 @@ class Attitude:
         m = real_array("an attitude matrix", matrix, finite=False)
         if m.shape != (3, 3) or not _is_rotation(m):
             raise InputError("an attitude matrix must be 3×3 and orthogonal, with determinant +1")
-        quat = matrix_to_quat(m)  # normalised
-        quat.setflags(write=False)
-        return made(cls, quat=quat, source=text("source", source), target=text("target", target))
+        return cls(matrix_to_quat(m), source, target)
 
     @classmethod
     def from_radec_roll(cls, ra_deg: float, dec_deg: float, roll_deg: float = 0.0) -> Attitude:

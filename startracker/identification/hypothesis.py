@@ -23,7 +23,6 @@ from startracker.identification.observed import Identification, Observed, Prior,
 from startracker.identification.search_state import Stars
 from startracker.identification.verification import MOST_EXTRA, Verified, verify_attitude
 from startracker.kernels import kernel
-from startracker.records import made
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 from startracker.trace import Steps
@@ -122,8 +121,7 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
     """Result of `verify_attitude` as an object; None if fewer than three stars agree."""
     if not found.log_b > -math.inf:
         return None
-    return made(
-        Hypothesis,
+    return Hypothesis(
         matrix=found.matrix,
         pairs=found.pairs,
         log_evidence=found.log_b,
@@ -271,8 +269,7 @@ class HypothesisPool:
         enough = len(best.pairs) >= self.settings.min_stars
         if enough and accepts(chance, self.settings):
             reason = f"{says}; by chance with probability {power_of_ten(chance)}"
-            return made(
-                Identification,
+            return Identification(
                 status=Status.SOLVED,
                 reason=reason,
                 pairs=best.pairs,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from startracker.arguments import ABOVE_0, real_number
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.image_map import ImageMap, to_directions
@@ -59,7 +59,7 @@ class Observed:
 
     def flux_or_nan(self) -> FloatArray:
         """The flux (N,), NaN where it is not known."""
-        return filled(len(self), math.nan) if self.flux is None else self.flux
+        return np.full(len(self), math.nan) if self.flux is None else self.flux
 
 
 @kernel_part

@@ -18,7 +18,6 @@ from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import to_pixels
 from startracker.identification.acceptance import log_chance, power_of_ten
 from startracker.observer import Observer
-from startracker.records import made
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking.looking import Expected, Seen
@@ -95,8 +94,7 @@ class Followed:
         """
         camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
         chosen = self.expected.index[self.partner]
-        matched = made(
-            MatchedStars,
+        matched = MatchedStars(
             xy=seen.xy[stars],
             catalog_id=guide.catalog.id[chosen],
             name=guide.catalog.star_name[chosen],
@@ -106,8 +104,7 @@ class Followed:
             used=np.ones(len(stars), np.bool_),
             sigma_px=seen.sigma_px[stars],
         )
-        return made(
-            Solution,
+        return Solution(
             status=Status.SOLVED,
             reason=f"tracked: {len(stars)} of {len(seen.xy)} stars at predicted positions, {len(self.expected.index)} "
             f"expected; chance probability {power_of_ten(self.log_chance)}" + note,
@@ -181,8 +178,7 @@ def follow(
         if not innovation.accepted:
             return None
         residual = seen.xy[stars] - to_pixels(reference @ after.matrix.T, camera.image_map)
-    return made(
-        Followed,
+    return Followed(
         filter=after,
         innovation=innovation,
         seen=seen,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arrays import FloatArray, IntArray, filled
+from startracker.arrays import FloatArray, IntArray
 from startracker.bodies import beside_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
@@ -19,7 +19,6 @@ from startracker.errors import InputError
 from startracker.geometry.image_map import to_directions
 from startracker.given_centroids import SAME_STAR_PX
 from startracker.observer import Observer
-from startracker.records import made
 from startracker.refine_stars import IMAGE_FLOOR_PX, STATED_PX
 from startracker.tracker import StarTracker
 from startracker.tracking.matching import expected_stars, spreads
@@ -98,7 +97,7 @@ class Sky:
             beside = beside_bodies(directions, observer, self.pixel_rad)
             if beside.any():
                 index, directions, predicted = index[~beside], directions[~beside], predicted[~beside]
-        return made(Expected, index=index, directions=directions, predicted=predicted)
+        return Expected(index=index, directions=directions, predicted=predicted)
 
     def _seen_by(self, observer: Observer | None) -> SkyView:
         if observer is None:
@@ -119,11 +118,10 @@ def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None
     camera = tracker.camera
     rows = first_of_each(np.ascontiguousarray(xy), camera.width, camera.height, 0.0, SAME_STAR_PX)
     points = xy[rows]
-    stated, sigma = filled(len(rows), STATED_PX), filled(len(rows), factor * STATED_PX)
-    seen = made(
-        Seen,
+    stated, sigma = np.full(len(rows), STATED_PX), np.full(len(rows), factor * STATED_PX)
+    seen = Seen(
         xy=points,
-        flux=filled(len(rows), math.nan) if flux is None else flux[rows],
+        flux=np.full(len(rows), math.nan) if flux is None else flux[rows],
         vectors=to_directions(points, camera.image_map),
         gate_px=sigma,
         sigma_px=sigma,

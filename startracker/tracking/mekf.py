@@ -25,7 +25,6 @@ from startracker.arrays import FloatArray
 from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, quat_multiply, quat_to_matrix
-from startracker.records import made
 from startracker.tracking.checked import checked_attitude, checked_covariance, checked_rate
 from startracker.tracking.kinematics import correct, propagate, turn_quaternion, vector_measurement
 from startracker.tracking.noise import GyroNoise, RateNoise
@@ -332,7 +331,7 @@ class Mekf:
         """Apply a correction to the state if it is within the gate."""
         distance, change, covariance, white = outcome
         within, whitened = distance <= limit, white if freedom == 3 else None
-        innovation = made(Innovation, accepted=within, distance2=distance, freedom=freedom, whitened=whitened)
+        innovation = Innovation(accepted=within, distance2=distance, freedom=freedom, whitened=whitened)
         if not innovation.accepted:
             return innovation
         self._covariance = covariance

@@ -24,7 +24,6 @@ from startracker.given_image import GivenImage, given_image
 from startracker.identification.acceptance import accepts
 from startracker.interop import plain
 from startracker.observer import Observer, corrects_aberration
-from startracker.records import made
 from startracker.refine_stars import STATED_PX
 from startracker.setting_checks import settings_or_default
 from startracker.settings import TrackingSettings
@@ -340,8 +339,7 @@ class TrackingSession:
         self._watched.seen(alone)
         self._watched.mark_solved(self._used(seen.xy[stars]))
         self._scatter.add(followed.residual_px, seen.stated_px[stars])
-        self.state = made(
-            TrackingState,
+        self.state = TrackingState(
             mode="tracking",
             solved=True,
             windows=seen.windows,

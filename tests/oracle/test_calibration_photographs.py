@@ -43,7 +43,7 @@ def fields(images):
             DetectionSettings(max_stars=400),
             CentroidSettings(),
             Clock(),
-        )
+        ).stars
         height, width = loaded.image.shape
         made.append(StarField(name, found.xy, width, height, found.flux, found.variance_px2, Observer(2022.0)))
     return made

@@ -51,7 +51,7 @@ def test_it_is_added_to_every_centroid(frame_and_tracker):
     detect, measure = detection.DETECTORS["components"], centroid.METHODS["maximum_likelihood"]
     settings = [CentroidSettings(), CentroidSettings(camera_model_px=0.3)]
     plain, stated = (
-        find_stars(given_image(frame), detect, measure, DetectionSettings(), s, Clock(), camera=frame.camera)
+        find_stars(given_image(frame), detect, measure, DetectionSettings(), s, Clock(), camera=frame.camera).stars
         for s in settings
     )
     assert np.array_equal(plain.xy, stated.xy)

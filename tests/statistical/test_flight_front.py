@@ -272,7 +272,7 @@ def test_as_accurate_as_the_tracker_s_own(name, frames, rate, limit):
         theirs = find_stars(given, find_components, maximum_likelihood, *settings, Clock(), renderer.camera)
         ours = measure_frame(image, tables).stars
         one, *counted = matched(ours.xy_px, true, alone)
-        other, *expected = matched(theirs.xy, true, alone)
+        other, *expected = matched(theirs.stars.xy, true, alone)
         counts += counted, expected
         pairs += [(one[i], other[i]) for i in one.keys() & other.keys()]
     ours, theirs = np.array(pairs).swapaxes(0, 1)

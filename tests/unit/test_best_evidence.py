@@ -1,4 +1,4 @@
-"""Of several looks at a frame the one with the most evidence is answered, and none beyond doubt is refused."""
+"""Of several hypotheses for a frame the one with the most evidence is answered, and none beyond doubt is refused."""
 
 import math
 from dataclasses import replace
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, StarTracker, Status
+from startracker.centroid.result import Measured
 from startracker.front_end import Clock, FoundStars
 from startracker.identification import Identification
 
@@ -26,41 +27,39 @@ def field(tracker, skip, count):
     return xy[chosen], 1e6 * 10.0 ** (-0.4 * tracker.guide.v_mag[index[chosen]])
 
 
-def look(rng, xy, flux, false, error_px):
+def hypothesis(rng, xy, flux, false, error_px):
     points = np.concatenate([xy + error_px * rng.standard_normal(xy.shape), rng.uniform(5.0, 1018.0, (false, 2))])
     signal = np.concatenate([flux, rng.choice(flux, false)])
     order = np.argsort(-signal)
-    return FoundStars(points[order], signal[order], np.full(len(points), max(error_px, 0.02) ** 2))
+    return FoundStars(Measured(points[order], signal[order], np.full(len(points), max(error_px, 0.02) ** 2)))
 
 
 def answer(tracker, spots, streaks):
-    other = replace(streaks, trailed=True)
-    return tracker._solve_looks(replace(spots, other=lambda: other), None, None, Clock())
+    return tracker._best_hypothesis([spots, replace(streaks, trailed=True)], None, None, Clock(), [])
 
 
 @pytest.mark.parametrize("trails_first", [False, True])
 def test_fifty_stars_do_not_give_way_to_eight_streaks(tracker, trails_first):
     rng = np.random.default_rng(1)
     xy, flux = field(tracker, 8, 50)
-    spots = look(rng, xy, flux, 10, 0.03)
+    spots = hypothesis(rng, xy, flux, 10, 0.03)
     near = xy[:8] + np.array([1.5, 0.8])  # eight streaks that fit the same field, all off alike
-    streaks = look(rng, near, flux[:8], 38, 0.3)
+    streaks = hypothesis(rng, near, flux[:8], 38, 0.3)
     first, second = (streaks, spots) if trails_first else (spots, streaks)
-    solution, seen, steps = answer(tracker, first, second)
+    solution, seen = answer(tracker, first, second)
     assert solution.solved
-    assert len(seen.xy) == len(spots.xy)
+    assert len(seen.stars.xy) == len(spots.stars.xy)
     assert solution.matched >= 45
     assert solution.log_false_alarm < -300.0
     assert math.degrees(ATTITUDE.angle_to(solution.attitude)) * 3600 < 5.0
-    assert steps is not None
 
 
 def test_streaks_with_the_more_evidence_win_over_their_pieces(tracker):
     rng = np.random.default_rng(2)
     xy, flux = field(tracker, 0, 30)
-    streaks = look(rng, xy, flux, 0, 0.2)
-    pieces = look(rng, xy[10:21] + np.array([4.0, 0.0]), flux[10:21], 19, 1.5)
-    solution, seen, _ = answer(tracker, pieces, streaks)
+    streaks = hypothesis(rng, xy, flux, 0, 0.2)
+    pieces = hypothesis(rng, xy[10:21] + np.array([4.0, 0.0]), flux[10:21], 19, 1.5)
+    solution, seen = answer(tracker, pieces, streaks)
     assert solution.solved
     assert seen.trailed
     assert math.degrees(ATTITUDE.angle_to(solution.attitude)) * 3600 < 40.0
@@ -69,9 +68,9 @@ def test_streaks_with_the_more_evidence_win_over_their_pieces(tracker):
 def test_sixty_of_sixty_stars_are_answered_beside_streaks_that_are_no_sky(tracker):
     rng = np.random.default_rng(3)
     xy, flux = field(tracker, 8, 60)
-    spots = look(rng, xy, flux, 0, 0.02)
-    train = look(rng, rng.uniform(5.0, 1018.0, (12, 2)), np.full(12, flux.max()), 0, 0.1)
-    solution, seen, _ = answer(tracker, spots, train)
+    spots = hypothesis(rng, xy, flux, 0, 0.02)
+    train = hypothesis(rng, rng.uniform(5.0, 1018.0, (12, 2)), np.full(12, flux.max()), 0, 0.1)
+    solution, seen = answer(tracker, spots, train)
     assert solution.solved, solution.reason
     assert not seen.trailed
     assert solution.matched >= 58
@@ -82,11 +81,11 @@ def test_points_that_may_be_pieces_of_streaks_are_still_refused(tracker):
     rng = np.random.default_rng(4)
     xy, flux = field(tracker, 12, 11)
     bright = rng.uniform(5.0, 1018.0, (30, 2))
-    pieces = look(
+    pieces = hypothesis(
         rng, np.concatenate([xy + np.array([60.0, 0.0]), bright]), np.append(flux, np.full(30, flux.max())), 0, 0.3
     )
-    train = look(rng, rng.uniform(5.0, 1018.0, (12, 2)), np.full(12, flux.max()), 0, 0.1)
-    solution, _, _ = answer(tracker, pieces, train)
+    train = hypothesis(rng, rng.uniform(5.0, 1018.0, (12, 2)), np.full(12, flux.max()), 0, 0.1)
+    solution, _ = answer(tracker, pieces, train)
     assert solution.status is Status.NO_MATCH
     assert "fragments of trails" in solution.reason
 

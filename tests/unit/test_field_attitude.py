@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, StarTracker, estimation
+from startracker.centroid.result import Measured
 from startracker.estimation import plate_constants
 from startracker.observer import unknown_aberration
-from startracker.refine import Measured, refine
+from startracker.refine import refine
 
 CAMERA = Camera.from_fov(12.0, 512, 512)
 TRUTH = Attitude.from_radec_roll(83.0, -1.0, 20.0)

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 from simulator.randomness import stream
 from startracker import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.centroid.result import Measured
 from startracker.constants import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.estimation import field_fit
@@ -25,7 +26,7 @@ from startracker.flight.stars import StarList
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
 from startracker.observer import Observer
-from startracker.refine import Measured, refine
+from startracker.refine import refine
 
 pytestmark = pytest.mark.system
 

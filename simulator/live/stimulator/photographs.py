@@ -105,7 +105,7 @@ def find_dots(photograph: Photograph, pattern: Pattern) -> Dots:
     name = photograph.name
     if found.status is not None:
         raise InputError(f"{name}: {found.reason}; photograph the pattern dots")
-    rays = photograph.camera.unproject(found.xy)
+    rays = photograph.camera.unproject(found.stars.xy)
     plane = rays[:, :2] / rays[:, 2:]
     if len(plane) < 12 or not np.isfinite(plane).all():
         raise InputError(f"{name}: only {len(plane)} dots were found; expose longer, or focus, and photograph dots")
@@ -118,14 +118,16 @@ def find_dots(photograph: Photograph, pattern: Pattern) -> Dots:
     rows = np.flatnonzero(known)
     if len(np.unique(index[rows], axis=0)) < len(rows):
         raise InputError(f"{name}: two dots have the same position in the lattice; is it one photograph of dots?")
-    seen = _in_field(photograph.camera, index[rows], found.xy[rows], pattern)
+    seen = _in_field(photograph.camera, index[rows], found.stars.xy[rows], pattern)
     if len(rows) < max(20, _LEAST_SHARE * seen):
         raise InputError(
             f"{name}: only {len(rows)} of about {seen:.0f} dots in the field were identified; "
             "expose longer, focus, or use a greater spacing or larger dots"
         )
+    variance = found.stars.variance_px2
+    assert variance is not None
     (ax, ay), (bx, by) = (plane[start[1]] - plane[start[0]]), (plane[start[2]] - plane[start[0]])
-    return Dots(index[rows], found.xy[rows], found.variance_px2[rows], 1 if ax * by > ay * bx else -1)
+    return Dots(index[rows], found.stars.xy[rows], variance[rows], 1 if ax * by > ay * bx else -1)
 
 
 def _markers(plane: FloatArray) -> IntArray | None:

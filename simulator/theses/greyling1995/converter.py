@@ -193,7 +193,7 @@ def converter_trial(bits: int, peak: float, *, geometric: bool = False) -> Conve
             DetectionSettings(reject_hits=False),
             CentroidSettings(psf_sigma_px=SIGMA_PX),
             Clock(),
-        )
+        ).stars
         if len(found.xy) and float(np.abs(found.xy[0] - xy).max()) < _NEAR_PX:
             errors.append(found.xy[0] - xy)
     rms = float(np.sqrt(np.mean(np.square(errors)))) if 2 * len(errors) >= _STARS else math.nan

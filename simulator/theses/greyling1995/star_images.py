@@ -124,7 +124,7 @@ def tracker_errors(
     settings = DetectionSettings(max_stars=2 * len(truth))
     frame = image.astype(np.float32)
     found = find_stars(GivenImage(frame), find_components, METHODS[centroider], settings, CentroidSettings(), Clock())
-    xy = found.xy
+    xy = found.stars.xy
     if not len(xy):
         return np.empty((0, 2))
     away = xy[None] - truth[:, None]
