@@ -8,7 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.centroid.asymmetry import LEAST_ASYMMETRIC, correct_asymmetry, measure_difference, reference_psf
+from startracker.centroid.asymmetry import (
+    EXAMINED_ASYMMETRIC,
+    LEAST_ASYMMETRIC,
+    correct_asymmetry,
+    measure_difference,
+    reference_psf,
+)
 from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import PsfModel, load_psf
@@ -155,12 +161,14 @@ def _fit(
         common = skewness_covariance(pixels, fits.table, unfit, half, psf.shape)
         if gain_e_per_dn is not None:  # a gain guessed from the background leaves the contrast of stars unknown
             found = measure_difference(pixels, psf, fits.table, unfit, half)
-            if found.asymmetric > LEAST_ASYMMETRIC:
-                other = reference_psf(pixels, psf, fits.table, unfit, half, found.dark)
+            if found.asymmetric > EXAMINED_ASYMMETRIC:
+                other = reference_psf(pixels, psf, fits.table, unfit, half)
                 if other is not None:
-                    psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
-                    fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
-                    found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()))
+                    again = starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
+                    refits = _fit_image(frame, spots, moments, other, again, reweigh)
+                    wider = measure_difference(pixels, other, refits.table, unfit, int(again.half.min()))
+                    if wider.asymmetric > LEAST_ASYMMETRIC:
+                        psf, starts, fits, found = other, again, refits, wider
             common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
     stars = collect(fits.table, _widths(psf), spots, frame.half, fits.group, SYSTEMATIC_PX)
     return changed(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)

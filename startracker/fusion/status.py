@@ -44,7 +44,7 @@ def status_of(state: State, names: tuple[str, ...], t_s: float) -> FusionStatus:
 
 
 def _unverified(state: State) -> str:
-    """Why a motion of a mounting that nobody stated could displace the attitude by more than its covariance says
+    """Why a motion of a mounting that is not stated could displace the attitude by more than its covariance says
     without having been seen; empty if it could not, and for a single head, whose mounting defines the axes."""
     mekf, limit = state.mekf, chi_square_limit(3, _SUSPICION)
     assert mekf is not None
