@@ -33,6 +33,7 @@ from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
+from startracker.records import changed
 
 _Star: TypeAlias = tuple[float, float, float]
 """Position, px, and flux, DN."""
@@ -48,6 +49,9 @@ _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
 _MODEL_ERROR = 0.4
 """Standard deviation of the actual displacement of faint stars relative to the measured one: for coma of 0.05 to 0.2
 waves at f/4 and f/1.4 between 0.8 and 1.5 of it."""
+_OTHER_ELLIPSE = 2.0
+"""Ratio of the displacement of faint stars that are fitted with the ellipse of their own weights to that measured with
+it, as this ellipse has another zero: for coma of 0.05 and 0.1 waves at f/4 two to three."""
 _LARGEST_AWAY = 6.9
 """ln 1000: exceeded by one star in a thousand."""
 _STEPS = 2
@@ -173,7 +177,9 @@ def correct_asymmetry(
     if not (found.asymmetric > EXAMINED_ASYMMETRIC and len(stars)):
         return np.zeros((2, 2))
     corrected = found.asymmetric > LEAST_ASYMMETRIC
-    square = found.covariance if corrected else found.covariance + np.outer(found.mean, found.mean)
+    square = found.covariance
+    if not corrected:
+        square = _OTHER_ELLIPSE**2 * (found.covariance + np.outer(found.mean, found.mean))
     light = table[stars, 2] / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     contrast = (light * pixels.inverse_gain + (pixels.flat_error * light) ** 2) / found.dark
     part = displaced_part(contrast)
@@ -225,14 +231,15 @@ def reference_psf(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolA
     starts = Starts(x, y, np.full(len(table), half), np.full(len(table), np.inf))
     shape, least, half = psf.shape, half, min(2 * half, LARGEST_HALF_PX)
     for _ in range(_MOST_WINDOWS):
-        xx, yy, xy = fit_gaussian(pixels, starts, stars, half, shape, REFERENCE_CONTRAST)
+        (xx, yy, xy), errors = fit_gaussian(pixels, starts, stars, half, shape, REFERENCE_CONTRAST)
         if not (xx > 0.0 and xx * yy - xy * xy > 0.0):
             return None
         major = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
         shape, before, half = (xx, yy, xy), half, min(max(least, math.ceil(2.5 * math.sqrt(major))), LARGEST_HALF_PX)
         if half == before:
             break
-    return gaussian_psf(xx, yy, xy, radius_px=max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0))
+    ellipse = gaussian_psf(xx, yy, xy, radius_px=max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0))
+    return changed(ellipse, width_error=errors)
 
 
 @kernel

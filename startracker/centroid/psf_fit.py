@@ -17,7 +17,7 @@ from startracker.centroid.asymmetry import (
 )
 from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
-from startracker.centroid.psf_model import PsfModel, load_psf
+from startracker.centroid.psf_model import PsfModel, gaussian_psf, load_psf
 from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.centroid.skewness import skewness_covariance
@@ -43,6 +43,9 @@ MISFIT_SIGMA = 4.0
 _SURELY_HOT = 10.0
 """Times as likely as a star that a hot pixel must be."""
 _ASTRAY_PX = 1.5
+_UNDERSAMPLED_PX2 = 0.35
+"""Variance along the narrower axis of an image beyond which an error of its width moves no star: exp(−2 π² 0.35) is
+0.001."""
 
 
 def weighted_moment(
@@ -169,9 +172,22 @@ def _fit(
                     wider = measure_difference(pixels, other, refits.table, unfit, int(again.half.min()))
                     if wider.asymmetric > LEAST_ASYMMETRIC:
                         psf, starts, fits, found = other, again, refits, wider
+        _add_width_error(frame, psf, starts, fits, reweigh)
+        if gain_e_per_dn is not None:
             common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
     stars = collect(fits.table, _widths(psf), spots, frame.half, fits.group, SYSTEMATIC_PX)
     return changed(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)
+
+
+def _add_width_error(frame: Prepared, psf: PsfModel, starts: Starts, fits: _Fits, reweigh: bool) -> None:
+    """Add to the covariances how far stars move if the image is wider by its standard error. Only undersampled images
+    have such an error: it depends on the position in the pixel, and on average over them it is zero."""
+    xx, yy, xy = psf.shape
+    if not 0.0 < min(xx, yy) < _UNDERSAMPLED_PX2 or not any(psf.width_error):
+        return
+    wider = gaussian_psf(xx + psf.width_error[0], yy + psf.width_error[1], xy, radius_px=psf.radius_px)
+    moved = fit_stars(frame.pixels, wider.samples, starts, fits.group, reweigh)[:, :2] - fits.table[:, :2]
+    fits.table[:, 3:5] += np.where(np.abs(moved) < _ASTRAY_PX, np.square(moved), 0.0)
 
 
 class _Fits(NamedTuple):

@@ -17,6 +17,7 @@ from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
+from startracker.records import changed
 
 Shape: TypeAlias = tuple[float, float, float]
 
@@ -61,9 +62,9 @@ class _Space(NamedTuple):
 
 def fit_gaussian(
     pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape, contrast: float = 0.0
-) -> Shape:
-    """Variances along x and y and covariance, px², of the pixel-integrated Gaussian that fits all of some stars; NaN:
-    none.
+) -> tuple[Shape, tuple[float, float]]:
+    """Variances along x and y and covariance, px², of the pixel-integrated Gaussian that fits all of some stars, and the
+    standard errors of both variances; NaN: none.
 
     Gauss-Newton in x, y and ln(flux) of each star and the common xx, yy, xy, weighted with the noise of the model; a
     star that it misfits, as stars of another image do, has so much less weight as its χ² is larger. The image of a
@@ -87,22 +88,22 @@ def fit_gaussian(
         Photon noise over background noise (variances) in the brightest pixel, for which the stars are weighted; 0: that
         of each.
     """
-    side, found, count = 2 * half + 1, np.full(4, np.nan), len(stars)
+    side, found, count = 2 * half + 1, np.full(6, np.nan), len(stars)
     factors = np.empty((3 + len(_NODES), len(_NODES) * side))
     x, y = starts.x[stars], starts.y[stars]
     at = np.column_stack([x, y, np.ones(count), np.rint(x), np.rint(y)])
     normal, right = np.empty((count, 6, 6)), np.empty((count, 6))
     space = _Space(np.empty((4, side**2)), np.empty((6, side**2)), factors, at, normal, right)
     _fit_gaussian(pixels, contrast, half, shape, space, found)
-    xx, yy, xy, variance = found.tolist()
+    xx, yy, xy, error_xx, error_yy, variance = found.tolist()
     if count >= _FEWEST_ALONE and xy != 0.0:
         xy *= max(1.0 - (_LEAST_CHI2 * variance / (xy * xy)) ** 2, 0.0) if min(xx, yy) > _NARROW else 0.0
-    return xx, yy, xy
+    return (xx, yy, xy), (math.sqrt(error_xx), math.sqrt(error_yy))
 
 
 @kernel
 def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, space: _Space, found: FloatArray) -> None:
-    """Fills the shape of some stars and the variance of its covariance, (4,), if they can be fitted."""
+    """Fills the shape of some stars and the variances of its parts, (6,), if they can be fitted."""
     (a, b, c), at, total, change, own = shape, space.at, np.empty((3, 3)), np.empty(3), np.empty((len(space.at), 3))
     for step in range(_STEPS):
         total[:], change[:], used = 0.0, 0.0, 0
@@ -144,11 +145,13 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
             return
         farthest = _move_stars(space, change, min(a, b, 1.0), half, part)
         if max(largest, farthest) < _CONVERGED or (step > _DAMPED and largest < _CONVERGED):
-            found[0], found[1], found[2], found[3] = a, b, c, 0.0
+            found[0], found[1], found[2] = a, b, c
+            found[3:] = 0.0
             for n in range(len(at)):
                 if math.isfinite(at[n, 0]):
                     substitute(total, 3, own[n])
-                    found[3] += own[n, 2] ** 2 * used / max(used - 1.0, 0.5)
+                    for p in range(3):
+                        found[3 + p] += own[n, p] ** 2 * used / max(used - 1.0, 0.5)
             return
 
 
@@ -306,12 +309,14 @@ def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float
     if len(chosen) < _FEWEST_ALONE:
         chosen = np.flatnonzero(~unfit & np.isfinite(starts.x + starts.y))[:MODEL_STARS]
     xx, yy, xy = start = max(sigmas[0], SMALLEST_SIGMA_PX) ** 2, max(sigmas[1], SMALLEST_SIGMA_PX) ** 2, 0.0
-    found = fit_gaussian(frame.pixels, starts, chosen, half, start)
+    found, errors = fit_gaussian(frame.pixels, starts, chosen, half, start)
     if found[0] * found[1] - found[2] ** 2 > SMALLEST_SIGMA_PX**4:
         xx, yy, xy = found
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
     ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
+    if math.isfinite(errors[0] + errors[1]):
+        ellipse = changed(ellipse, width_error=errors)
     minor, major = middle - spread, middle + spread
     if major < _STREAK_RATIO**2 * minor or math.isnan(found[0]):
         return ellipse

@@ -96,7 +96,7 @@ def common_ellipse(image, xy, half=3, contrast=0.0):
     background = Background(np.zeros_like(image), np.full_like(image, NOISE))
     pixels = Pixels(image, background.level_plane, background.noise_plane, 1.0 / GAIN, 0.0)
     starts = Starts(xy[:, 0].copy(), xy[:, 1].copy(), np.full(len(xy), half), np.full(len(xy), np.inf))
-    return fit_gaussian(pixels, starts, np.arange(9), half, (0.5, 0.5, 0.0), contrast)
+    return fit_gaussian(pixels, starts, np.arange(9), half, (0.5, 0.5, 0.0), contrast)[0]
 
 
 @pytest.mark.parametrize("contrast", [0.0, 50.0])
