@@ -63,8 +63,8 @@ class _Space(NamedTuple):
 def fit_gaussian(
     pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape, contrast: float = 0.0
 ) -> tuple[Shape, tuple[float, float]]:
-    """Variances along x and y and covariance, px², of the pixel-integrated Gaussian that fits all of some stars, and the
-    standard errors of both variances; NaN: none.
+    """Variances along x and y and covariance, px², of the pixel-integrated Gaussian that fits all of some stars, and
+    the standard errors of both variances; NaN: none.
 
     Gauss-Newton in x, y and ln(flux) of each star and the common xx, yy, xy, weighted with the noise of the model; a
     star that it misfits, as stars of another image do, has so much less weight as its χ² is larger. The image of a
