@@ -46,9 +46,9 @@ EXAMINED_ASYMMETRIC, LEAST_ASYMMETRIC = 0.15, 0.5
 difference better; and with it, from which that ellipse is used for all stars, and positions are corrected."""
 _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
 """Grid of τ in widths of the star image, pixel included: 0.05 to 0.2 waves of coma give 0.08 to 0.4."""
-_MODEL_ERROR = 0.4
+_MODEL_ERROR = 0.45
 """Standard deviation of the actual displacement of faint stars relative to the measured one: for coma of 0.05 to 0.2
-waves at f/4 and f/1.4 between 0.8 and 1.5 of it."""
+waves at f/4 to f/1.4, in focus and 40 um out of it, between 0.8 and 1.6 of it."""
 _OTHER_ELLIPSE = 2.0
 """Ratio of the displacement of faint stars that are fitted with the ellipse of their own weights to that measured with
 it, as this ellipse has another zero: for coma of 0.05 and 0.1 waves at f/4 two to three."""
