@@ -12,7 +12,7 @@ from startracker.arguments import ABOVE_0, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.centroid.frame import prepare
 from startracker.centroid.psf_kernel import Starts
-from startracker.centroid.psf_shape import Shape, fit_gaussians
+from startracker.centroid.psf_shape import Shape, fit_gaussian
 from startracker.detection.background import Background
 from startracker.display import described
 from startracker.settings import CentroidSettings
@@ -89,7 +89,7 @@ def _shape(window: NDArray[np.float32], dx: float, dy: float, gain_e_per_dn: flo
     pixels = prepare(window, flat, CentroidSettings(), gain_e_per_dn).pixels
     half, start = _HALF_PX // 2, (1.0, 1.0, 0.0)
     starts = Starts(np.array([_HALF_PX + dx]), np.array([_HALF_PX + dy]), np.array([half]), np.array([np.inf]))
-    found: Shape = fit_gaussians(pixels, starts, np.zeros(1, np.int64), half, start)
+    found, _ = fit_gaussian(pixels, starts, np.zeros(1, np.int64), half, start)
     return found
 
 

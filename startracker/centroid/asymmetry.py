@@ -27,13 +27,13 @@ from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_model import PsfModel, Samples, gaussian_psf
-from startracker.centroid.psf_shape import fit_gaussians
+from startracker.centroid.psf_shape import LARGEST_HALF_PX, fit_gaussian
 from startracker.centroid.psf_sums import fill_window
 from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.sorting import finite_medians
+from startracker.records import changed
 
 _Star: TypeAlias = tuple[float, float, float]
 """Position, px, and flux, DN."""
@@ -41,18 +41,22 @@ _Star: TypeAlias = tuple[float, float, float]
 _EXAMINED = 27
 _SYMMETRIC = 0.4
 """Prior probability that star images are symmetric."""
-LEAST_ASYMMETRIC = 0.5
-"""Probability of an asymmetric image below which positions are left as they are, and from which it is fitted with the
-ellipse of the reference's weights."""
+EXAMINED_ASYMMETRIC, LEAST_ASYMMETRIC = 0.15, 0.5
+"""Probability of an asymmetric image from which the ellipse of the reference's weights is fitted, which shows the
+difference better; and with it, from which that ellipse is used for all stars, and positions are corrected."""
 _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
 """Grid of τ in widths of the star image, pixel included: 0.05 to 0.2 waves of coma give 0.08 to 0.4."""
-_MODEL_ERROR = 0.4
+_MODEL_ERROR = 0.45
 """Standard deviation of the actual displacement of faint stars relative to the measured one: for coma of 0.05 to 0.2
-waves at f/4 and f/1.4 between 0.8 and 1.5 of it."""
+waves at f/4 to f/1.4, in focus and 40 um out of it, between 0.8 and 1.6 of it."""
+_OTHER_ELLIPSE = 2.0
+"""Ratio of the displacement of faint stars that are fitted with the ellipse of their own weights to that measured with
+it, as this ellipse has another zero: for coma of 0.05 and 0.1 waves at f/4 two to three."""
 _LARGEST_AWAY = 6.9
 """ln 1000: exceeded by one star in a thousand."""
 _STEPS = 2
 _LONGEST_STEP_PX, _FARTHEST_PX = 0.5, 2.0
+_MOST_WINDOWS = 4
 _LEAST_SIGMA_PX = 0.01
 """Standard error below which brighter stars have no larger weight in the mean displacement, as in the attitude."""
 _PIXEL = 1.0 / 12.0
@@ -160,7 +164,8 @@ def correct_asymmetry(
     found: Difference, pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray
 ) -> FloatArray:
     """Take the displacement against stars of the reference off the positions of fits (N, 6), in place, and add what
-    differs between stars to their covariances.
+    differs between stars to their covariances. Where the image is more probably symmetric, but not surely so, the
+    positions stay, and the displacement is part of the covariances.
 
     Returns
     -------
@@ -169,18 +174,23 @@ def correct_asymmetry(
     """
     xx, yy, xy = psf.shape
     stars = np.flatnonzero(np.isfinite(table[:, :6]).all(axis=1) & (table[:, 2] > 0.0) & ~unfit)
-    if not (found.asymmetric > LEAST_ASYMMETRIC and len(stars)):
+    if not (found.asymmetric > EXAMINED_ASYMMETRIC and len(stars)):
         return np.zeros((2, 2))
+    corrected = found.asymmetric > LEAST_ASYMMETRIC
+    square = found.covariance
+    if not corrected:
+        square = _OTHER_ELLIPSE**2 * (found.covariance + np.outer(found.mean, found.mean))
     light = table[stars, 2] / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     contrast = (light * pixels.inverse_gain + (pixels.flat_error * light) ** 2) / found.dark
     part = displaced_part(contrast)
     weight = 1.0 / np.maximum(table[stars, 3] + table[stars, 4], 2.0 * _LEAST_SIGMA_PX**2)
     middle = float(weight @ part / weight.sum())
-    table[stars, :2] -= part[:, None] * found.mean
+    if corrected:
+        table[stars, :2] -= part[:, None] * found.mean
     apart = np.square(part - middle)
     for column, (i, j) in enumerate(((0, 0), (1, 1), (0, 1)), start=3):
-        table[stars, column] += apart * found.covariance[i, j]
-    return middle**2 * found.covariance
+        table[stars, column] += apart * square[i, j]
+    return middle**2 * square
 
 
 def displaced_part(contrast: FloatArray) -> FloatArray:
@@ -210,27 +220,26 @@ def _parts() -> tuple[FloatArray, FloatArray]:
     return np.log1p(contrasts), (values - reference) / (values[0] - reference)
 
 
-def reference_psf(
-    pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray, half: int, dark: float
-) -> PsfModel | None:
+def reference_psf(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray, half: int) -> PsfModel | None:
     """The Gaussian that is fitted to the brightest stars with the weights of the reference; None if there is none.
 
     The ellipse of an asymmetric image depends on the weights as well: positions by the ellipse of other weights have
     another zero.
     """
-    (xx, yy, xy), stars = psf.shape, _examined(table, unfit)
-    peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
+    stars = _examined(table, unfit)
     x, y = np.ascontiguousarray(table[:, :2].T)
     starts = Starts(x, y, np.full(len(table), half), np.full(len(table), np.inf))
-    shapes = []
-    for star in stars:
-        weighted = pixels._replace(inverse_gain=REFERENCE_CONTRAST * dark / (table[star, 2] * peak))
-        shapes.append(fit_gaussians(weighted, starts, np.array([star]), half, psf.shape))
-    xx, yy, xy = finite_medians(np.array(shapes).reshape(-1, 3))
-    if not (xx > 0.0 and xx * yy - xy * xy > 0.0):
-        return None
-    major = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
-    return gaussian_psf(xx, yy, xy, radius_px=max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0))
+    shape, least, half = psf.shape, half, min(2 * half, LARGEST_HALF_PX)
+    for _ in range(_MOST_WINDOWS):
+        (xx, yy, xy), errors = fit_gaussian(pixels, starts, stars, half, shape, REFERENCE_CONTRAST)
+        if not (xx > 0.0 and xx * yy - xy * xy > 0.0):
+            return None
+        major = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+        shape, before, half = (xx, yy, xy), half, min(max(least, math.ceil(2.5 * math.sqrt(major))), LARGEST_HALF_PX)
+        if half == before:
+            break
+    ellipse = gaussian_psf(xx, yy, xy, radius_px=max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0))
+    return changed(ellipse, width_error=errors)
 
 
 @kernel

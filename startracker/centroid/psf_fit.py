@@ -9,10 +9,16 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.centroid.asymmetry import LEAST_ASYMMETRIC, correct_asymmetry, measure_difference, reference_psf
+from startracker.centroid.asymmetry import (
+    EXAMINED_ASYMMETRIC,
+    LEAST_ASYMMETRIC,
+    correct_asymmetry,
+    measure_difference,
+    reference_psf,
+)
 from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
-from startracker.centroid.psf_model import PsfModel, load_psf
+from startracker.centroid.psf_model import PsfModel, gaussian_psf, load_psf
 from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.centroid.skewness import skewness_covariance
@@ -37,6 +43,9 @@ MISFIT_SIGMA = 4.0
 _SURELY_HOT = 10.0
 """Times as likely as a star that a hot pixel must be."""
 _ASTRAY_PX = 1.5
+_UNDERSAMPLED_PX2 = 0.35
+"""Variance along the narrower axis of an image beyond which an error of its width moves no star: exp(−2 π² 0.35) is
+0.001."""
 
 
 def weighted_moment(
@@ -155,15 +164,30 @@ def _fit(
         common = skewness_covariance(pixels, fits.table, unfit, half, psf.shape)
         if gain_e_per_dn is not None:  # a gain guessed from the background leaves the contrast of stars unknown
             found = measure_difference(pixels, psf, fits.table, unfit, half)
-            if found.asymmetric > LEAST_ASYMMETRIC:
-                other = reference_psf(pixels, psf, fits.table, unfit, half, found.dark)
+            if found.asymmetric > EXAMINED_ASYMMETRIC:
+                other = reference_psf(pixels, psf, fits.table, unfit, half)
                 if other is not None:
-                    psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
-                    fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
-                    found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()))
+                    again = starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
+                    refits = _fit_image(frame, spots, moments, other, again, reweigh)
+                    wider = measure_difference(pixels, other, refits.table, unfit, int(again.half.min()))
+                    if wider.asymmetric > LEAST_ASYMMETRIC:
+                        psf, starts, fits, found = other, again, refits, wider
+        _add_width_error(frame, psf, starts, fits, reweigh)
+        if gain_e_per_dn is not None:
             common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
     stars = collect(fits.table, _widths(psf), spots, frame.half, fits.group, SYSTEMATIC_PX)
     return replace(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)
+
+
+def _add_width_error(frame: Prepared, psf: PsfModel, starts: Starts, fits: _Fits, reweigh: bool) -> None:
+    """Add to the covariances how far stars move if the image is wider by its standard error. Only undersampled images
+    have such an error: it depends on the position in the pixel, and on average over them it is zero."""
+    xx, yy, xy = psf.shape
+    if not 0.0 < min(xx, yy) < _UNDERSAMPLED_PX2 or not any(psf.width_error):
+        return
+    wider = gaussian_psf(xx + psf.width_error[0], yy + psf.width_error[1], xy, radius_px=psf.radius_px)
+    moved = fit_stars(frame.pixels, wider.samples, starts, fits.group, reweigh)[:, :2] - fits.table[:, :2]
+    fits.table[:, 3:5] += np.where(np.abs(moved) < _ASTRAY_PX, np.square(moved), 0.0)
 
 
 class _Fits(NamedTuple):

@@ -59,12 +59,15 @@ class PsfModel:
         Variances along x and y and covariance of the Gaussian nearest the core, px².
     axes : array, shape (2 K, n)
         Where the table is a sum of products axes[2 k + 1, r] axes[2 k, c], these; else of the shape (0, 0).
+    width_error : (float, float)
+        Standard errors of the variances along x and y, px², of an image measured from a frame.
     """
 
     table: FloatArray
     oversampling: int
     shape: tuple[float, float, float]
     axes: FloatArray = field(default_factory=lambda: _NO_AXES)
+    width_error: tuple[float, float] = (0.0, 0.0)
 
     __repr__ = fields_repr
 

@@ -17,109 +17,226 @@ from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.sorting import finite_medians
+from startracker.records import changed
 
 Shape: TypeAlias = tuple[float, float, float]
 
 _LOOKED_AT, _FEWEST_ALONE = 18, 3
-_LARGEST_HALF_PX = 8
+LARGEST_HALF_PX = 8
 _NODES = np.polynomial.legendre.leggauss(3)[0] / 2.0
 _WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2.0
-_STEPS = 15
+_STEPS = 40
 _CONVERGED = 1e-3
+_LEAST_SNR = 12.0
+"""Signal-to-noise ratio of a star, unless it is one of the three brightest: of fainter objects noise selects those that
+are narrow, and noise alone is among them."""
+_NARROW = 0.11
+"""Variance along the narrower axis, px², up to which pixels do not resolve the orientation."""
+_DAMPED = 12
+"""Steps after which their lengths are halved."""
+_LONGEST_STEP, _SHORTEST = 0.4, 1e-3
+"""Longest step, in units of the smaller variance, or of 1 if that is smaller."""
 _LENGTHS = (0.9, 1.0, 1.1)
+_LEAST_CHI2 = 9.0
+"""Square of the covariance over its variance, of nine stars, up to which it is zero."""
 _STREAK_RATIO = 1.5
 """Ratio of the axes from which a line is tried instead of an ellipse."""
 
 
 class _Space(NamedTuple):
-    """Working space of `fit_gaussians` for windows of N pixels, W wide."""
+    """Working space of `fit_gaussian` for N stars and windows of M pixels, W wide."""
 
     pixels: FloatArray
-    """(4, N)."""
+    """(4, M)."""
     slopes: FloatArray
-    """(6, N)."""
+    """(6, M)."""
     factors: FloatArray
     """(6, 3 W)."""
+    at: FloatArray
+    """(N, 5): position and flux of each star, and the pixel in the middle of its window; NaN: left out."""
     normal: FloatArray
-    """(6, 6)."""
+    """(N, 6, 6): its normal equations in x, y, ln(flux), xx, yy, xy, factorised."""
     right: FloatArray
-    """(6,)."""
+    """(N, 6)."""
 
 
-def fit_gaussians(pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape) -> Shape:
-    """Median variances along x and y and covariance, px², of pixel-integrated Gaussians fitted to stars; NaN: none.
+def fit_gaussian(
+    pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape, contrast: float = 0.0
+) -> tuple[Shape, tuple[float, float]]:
+    """Variances along x and y and covariance, px², of the pixel-integrated Gaussian that fits all of some stars, and
+    the standard errors of both variances; NaN: none.
 
-    Gauss-Newton in x, y, ln(flux), xx, yy, xy, weighted with the noise of the model; `shape` is the start.
+    Gauss-Newton in x, y and ln(flux) of each star and the common xx, yy, xy, weighted with the noise of the model; a
+    star that it misfits, as stars of another image do, has so much less weight as its χ² is larger. The image of a
+    single undersampled star hardly shows its width if it is in the middle of a pixel, and an orientation that depends
+    on its position in the pixel: medians of such fits are too wide, and turn the ellipse at random. A wrong
+    orientation displaces all stars of an asymmetric image, by half a pixel per px²: the covariance is reduced by
+    1 − (9 s²/xy²)², where s² is its variance by the scatter of the stars (Huber 1967, *Proc. Fifth Berkeley Symposium
+    1*, 221). It is left out where the image is so narrow that two orientations fit, each with a position of its own.
+
+    Parameters
+    ----------
+    pixels, starts
+        The frame, and approximate positions.
+    stars : int (N,)
+        Stars to fit.
+    half : int
+        Half width of their windows.
+    shape : (float, float, float)
+        Start.
+    contrast : float
+        Photon noise over background noise (variances) in the brightest pixel, for which the stars are weighted; 0: that
+        of each.
     """
-    side, found = 2 * half + 1, np.full((len(stars), 3), np.nan)
+    side, found, count = 2 * half + 1, np.full(6, np.nan), len(stars)
     factors = np.empty((3 + len(_NODES), len(_NODES) * side))
-    space = _Space(np.empty((4, side**2)), np.empty((6, side**2)), factors, np.empty((6, 6)), np.empty(6))
-    _fit_gaussians(pixels, starts, stars, half, shape, space, found)
-    xx, yy, xy = finite_medians(found)
-    return xx, yy, xy
+    x, y = starts.x[stars], starts.y[stars]
+    at = np.column_stack([x, y, np.ones(count), np.rint(x), np.rint(y)])
+    normal, right = np.empty((count, 6, 6)), np.empty((count, 6))
+    space = _Space(np.empty((4, side**2)), np.empty((6, side**2)), factors, at, normal, right)
+    _fit_gaussian(pixels, contrast, half, shape, space, found)
+    xx, yy, xy, error_xx, error_yy, variance = found.tolist()
+    if count >= _FEWEST_ALONE and xy != 0.0:
+        xy *= max(1.0 - (_LEAST_CHI2 * variance / (xy * xy)) ** 2, 0.0) if min(xx, yy) > _NARROW else 0.0
+    return (xx, yy, xy), (math.sqrt(error_xx), math.sqrt(error_yy))
 
 
 @kernel
-def _fit_gaussians(
-    pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape, space: _Space, found: FloatArray
-) -> None:
-    """Fills the shapes (N, 3) of stars, as far as they can be fitted."""
-    for n in range(len(stars)):
-        _fit_gaussian(pixels, starts.x[stars[n]], starts.y[stars[n]], half, shape, space, found[n])
+def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, space: _Space, found: FloatArray) -> None:
+    """Fills the shape of some stars and the variances of its parts, (6,), if they can be fitted."""
+    (a, b, c), at, total, change, own = shape, space.at, np.empty((3, 3)), np.empty(3), np.empty((len(space.at), 3))
+    for step in range(_STEPS):
+        total[:], change[:], used = 0.0, 0.0, 0
+        for n in range(len(at)):
+            if not math.isfinite(at[n, 0] + at[n, 1]):
+                continue
+            weight = _equations_of_star(pixels, contrast, half, (a, b, c), space, n, step == 0)
+            if not weight > 0.0:
+                at[n, 0] = np.nan
+                continue
+            used += 1
+            # the last rows of Cholesky's factor are that of the shape's normal matrix, the star's unknowns eliminated
+            factor, right = space.normal[n], space.right[n]
+            for p in range(3):
+                own[n, p] = 0.0
+                for m in range(p + 1):
+                    own[n, p] += weight * factor[3 + p, 3 + m] * right[3 + m]
+                    for q in range(m, 3):
+                        total[p, q] += weight * factor[3 + p, 3 + m] * factor[3 + q, 3 + m]
+                change[p] += own[n, p]
+        if step == 0:
+            continue
+        if used == 0 or not factorise(total, 3):
+            return
+        substitute(total, 3, change)
+        largest = max(abs(change[0]), abs(change[1]), abs(change[2]))
+        if not math.isfinite(largest):
+            return
+        part = 1.0 if step < _DAMPED else 0.5  # faint stars may go to and fro
+        short = min(part, _LONGEST_STEP * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
+        while short > _SHORTEST and not _is_ellipse(
+            a + short * change[0], b + short * change[1], c + short * change[2]
+        ):
+            short *= 0.5
+        for p in range(3):
+            change[p] *= short
+        a, b, c = a + change[0], b + change[1], c + change[2]
+        if not _is_ellipse(a, b, c):
+            return
+        farthest = _move_stars(space, change, min(a, b, 1.0), half, part)
+        if max(largest, farthest) < _CONVERGED or (step > _DAMPED and largest < _CONVERGED):
+            found[0], found[1], found[2] = a, b, c
+            found[3:] = 0.0
+            for n in range(len(at)):
+                if math.isfinite(at[n, 0]):
+                    substitute(total, 3, own[n])
+                    for p in range(3):
+                        found[3 + p] += own[n, p] ** 2 * used / max(used - 1.0, 0.5)
+            return
 
 
 @kernel_part
-def _fit_gaussian(
-    pixels: Pixels, x: float, y: float, half: int, shape: Shape, space: _Space, found: FloatArray
-) -> None:
-    """Fills the shape of one star, if it can be fitted."""
+def _is_ellipse(xx: float, yy: float, xy: float) -> bool:
+    return xx > 0.0 and xx * yy - xy * xy > SMALLEST_SIGMA_PX**4
+
+
+@kernel_part
+def _move_stars(space: _Space, change: FloatArray, scale: float, half: int, part: float) -> float:
+    """Moves the stars by the steps that belong to a change (3,) of the shape; the longest of them."""
+    step, longest = np.empty(3), 0.0
+    for n in range(len(space.at)):
+        star, factor = space.at[n], space.normal[n]
+        if not math.isfinite(star[0] + star[1]):
+            continue
+        largest = 0.0
+        for p in range(2, -1, -1):
+            step[p] = space.right[n, p]
+            for q in range(p + 1, 6):
+                step[p] -= factor[q, p] * (step[q] if q < 3 else change[q - 3])
+            step[p] /= factor[p, p]
+            largest = max(largest, abs(step[p]))
+        short = min(part, _LONGEST_STEP * scale / largest) if largest > 0.0 else 1.0
+        star[0], star[1], star[2] = (
+            star[0] + short * step[0],
+            star[1] + short * step[1],
+            star[2] * math.exp(short * step[2]),
+        )
+        if max(abs(star[0] - star[3]), abs(star[1] - star[4])) < half:
+            longest = max(longest, largest)
+        else:
+            star[0] = np.nan
+    return longest
+
+
+@kernel_part
+def _equations_of_star(
+    pixels: Pixels, contrast: float, half: int, shape: Shape, space: _Space, n: int, is_first: bool
+) -> float:
+    """The normal equations of star n, factorised to `space.normal` and `space.right`, and their weight: its inverse χ²
+    per degree of freedom, at most 1; 0 if there are none. The first time its flux alone is found."""
     height, width = pixels.image.shape
-    (a, b, c), cx, cy, flux = shape, round(x), round(y), -1.0
-    left, top = max(cx - half, 0), max(cy - half, 0)
-    wide, high = min(cx + half + 1, width) - left, min(cy + half + 1, height) - top
-    count, work, slopes, normal, right = wide * high, space.pixels, space.slopes, space.normal, space.right
+    x, y, flux, middle, row = space.at[n]
+    left, top = max(int(middle) - half, 0), max(int(row) - half, 0)
+    wide, high = min(int(middle) + half + 1, width) - left, min(int(row) + half + 1, height) - top
+    count, work, slopes, normal, right = wide * high, space.pixels, space.slopes, space.normal[n], space.right[n]
+    if wide < 2 or high < 2:
+        return 0.0
     signal, dark, weights, residuals = work[0, :count], work[1, :count], work[2, :count], work[3, :count]
     read_pixels(pixels, left, top, wide, high, np.inf, signal, dark)
-    for _ in range(_STEPS):
-        _gaussian_slopes((left - x, top - y), wide, high, (a, b, c), slopes, space.factors)
-        above, below = 0.0, 0.0
-        for n in range(count):
-            light = flux * slopes[2, n] if flux > 0.0 else max(signal[n], 0.0)
-            weights[n] = 1.0 / (dark[n] + light * pixels.inverse_gain)
-            above += weights[n] * slopes[2, n] * signal[n]
-            below += weights[n] * slopes[2, n] * slopes[2, n]
-            residuals[n] = signal[n] - light
-        if flux <= 0.0:
-            flux = above / below
-            if not flux > 0.0:
-                return
-            continue
-        # a loop: for the error that an array expression may raise, numba compiles its text, which takes seconds
-        for m in range(6):
-            for n in range(count):
-                slopes[m, n] *= flux
-        normal_equations(slopes, weights, residuals, normal, right)
-        for m in range(6):
-            normal[m, m] *= 1.0 + 1e-9
-            if not normal[m, m] > 0.0:
-                normal[m, m] = 1.0
-        if not factorise(normal, 6):
-            return
-        substitute(normal, 6, right)
-        largest = 0.0
-        for k in range(6):
-            largest = max(largest, abs(right[k])) if math.isfinite(right[k]) else np.inf
-        if not math.isfinite(largest):
-            return
-        short = min(1.0, 0.4 * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
-        x, y, flux = x + short * right[0], y + short * right[1], flux * math.exp(short * right[2])
-        a, b, c = a + short * right[3], b + short * right[4], c + short * right[5]
-        if not (a * b - c * c > 1e-4 and a > 0.0 and abs(x - cx) < half and abs(y - cy) < half):
-            return
-        if largest < _CONVERGED:
-            found[0], found[1], found[2] = a, b, c
-            return
+    _gaussian_slopes((left - x, top - y), wide, high, shape, slopes, space.factors)
+    above, below, chi2, used, peak = 0.0, 0.0, 0.0, 0, 0.0
+    for k in range(count):
+        peak = max(peak, slopes[2, k])
+    for k in range(count):
+        light = max(signal[k], 0.0) if is_first else flux * slopes[2, k]
+        more = light * pixels.inverse_gain
+        if contrast > 0.0 and not is_first:
+            more = contrast * dark[k] * max(slopes[2, k], 0.0) / peak
+        weights[k] = 1.0 / (dark[k] + more)
+        above += weights[k] * slopes[2, k] * signal[k]
+        below += weights[k] * slopes[2, k] * slopes[2, k]
+        residuals[k] = signal[k] - light
+        chi2 += weights[k] * residuals[k] * residuals[k]
+        used += weights[k] > 0.0
+    if is_first:
+        space.at[n, 2] = above / below
+        return above if n < _FEWEST_ALONE or above > _LEAST_SNR * math.sqrt(below) else 0.0
+    # a loop: for the error that an array expression may raise, numba compiles its text, which takes seconds
+    for m in range(6):
+        for k in range(count):
+            slopes[m, k] *= flux
+    normal_equations(slopes, weights, residuals, normal, right)
+    for m in range(6):
+        normal[m, m] *= 1.0 + 1e-9
+        if not normal[m, m] > 0.0:
+            normal[m, m] = 1.0
+    if not factorise(normal, 6):
+        return 0.0
+    for p in range(6):
+        for q in range(p):
+            right[p] -= normal[p, q] * right[q]
+        right[p] /= normal[p, p]
+    return 1.0 / max(chi2 / max(used - 6.0, 1.0), 1.0)
 
 
 @kernel_part
@@ -173,8 +290,8 @@ def _gaussian_slopes(
 def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float, float], reach_px: float) -> PsfModel:
     """The star image of a frame.
 
-    The median ellipse of the brightest clean stars. Where it is elongated, a round Gaussian moved along a line
-    is taken instead when it leaves the smaller χ² in the same stars: L² = 12 × the difference of the principal
+    The ellipse of the brightest clean stars (`fit_gaussian`). Where it is elongated, a round Gaussian moved along a
+    line is taken instead when it leaves the smaller χ² in the same stars: L² = 12 × the difference of the principal
     variances, then L by the parabola through χ² there and a tenth to either side.
 
     Parameters
@@ -186,23 +303,25 @@ def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float
     reach_px : float
         Least half width of the table.
     """
-    half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), _LARGEST_HALF_PX)
+    half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), LARGEST_HALF_PX)
     unfit = spots.saturated | spots.edge
     chosen = brightest_alone(starts.x, starts.y, spots.flux, unfit, _LOOKED_AT)
     if len(chosen) < _FEWEST_ALONE:
         chosen = np.flatnonzero(~unfit & np.isfinite(starts.x + starts.y))[:MODEL_STARS]
     xx, yy, xy = start = max(sigmas[0], SMALLEST_SIGMA_PX) ** 2, max(sigmas[1], SMALLEST_SIGMA_PX) ** 2, 0.0
-    found = fit_gaussians(frame.pixels, starts, chosen, half, start)
+    found, errors = fit_gaussian(frame.pixels, starts, chosen, half, start)
     if found[0] * found[1] - found[2] ** 2 > SMALLEST_SIGMA_PX**4:
         xx, yy, xy = found
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
     ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
+    if math.isfinite(errors[0] + errors[1]):
+        ellipse = changed(ellipse, width_error=errors)
     minor, major = middle - spread, middle + spread
     if major < _STREAK_RATIO**2 * minor or math.isnan(found[0]):
         return ellipse
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    window = min(math.ceil(2.5 * math.sqrt(major)), _LARGEST_HALF_PX)
+    window = min(math.ceil(2.5 * math.sqrt(major)), LARGEST_HALF_PX)
     stars = Starts(starts.x[chosen], starts.y[chosen], np.full(len(chosen), window), np.full(len(chosen), np.inf))
     length = math.sqrt(12.0 * (major - minor))
     along, across = length * math.cos(angle), length * math.sin(angle)

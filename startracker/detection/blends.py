@@ -6,10 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel, join_tables
-from startracker.detection.thresholds import BLEND_LEAST_PX2, BLEND_PIXELS, RING_SHARE, VALLEY_SHARE, VALLEY_SIGMA
+from startracker.detection.thresholds import (
+    BLEND_LEAST_PX2,
+    BLEND_PIXELS,
+    FEWEST_RINGS,
+    RING_MAJORITY,
+    RING_SHARE,
+    RING_STARS,
+    RING_TOLERANCE,
+    VALLEY_SHARE,
+    VALLEY_SIGMA,
+)
 from startracker.detection.values import Image
 from startracker.kernels import kernel, kernel_part
 
@@ -72,7 +82,8 @@ def part_blends(
 
     A peak counts when it has more than 0.05 of every brighter one of its object and the signal on the straight line
     there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
-    than six or more than `most_pixels` pixels stay whole.
+    than six or more than `most_pixels` pixels stay whole, and so do those that are no larger than the star image of the
+    frame, if this has several peaks itself (`_of_common_image`).
     """
     most = int(table["pixels"].sum()) + 1
     room = _Peaks(np.empty((most, 3), np.int64), np.empty(most))
@@ -86,11 +97,37 @@ def part_blends(
     parted = _chain_peaks(peaks, order, image, level, noise, head, following)
     if not parted:
         return table, 0
+    head[_of_common_image(table, head >= 0, most_pixels)] = -1
+    parted = int(np.count_nonzero(head >= 0))
+    if not parted:
+        return table, 0
     parts = np.zeros(count, SOURCE)
     _share_pixels(runs, number, (head, following), peaks.position, image, level, np.float32(saturation), parts)
     # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
     kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= peaks.height)
     return join_tables(table.take((head < 0).nonzero()[0]), parts.take(kept.nonzero()[0])), parted
+
+
+def _of_common_image(table: Sources, parted: BoolArray, most_pixels: int) -> BoolArray:
+    """Objects (N,) with several peaks, `parted`, that are the star image of the frame: a ring, far out of focus.
+
+    It has several peaks if most of the brightest objects do, and all of them are of one size; blends are not.
+    """
+    fit = (table["pixels"] >= BLEND_PIXELS) & (table["pixels"] <= most_pixels) & ~table["edge"]
+    fit &= table["saturated"] == 0
+    bright = np.flatnonzero(fit)
+    bright = bright[np.argsort(-table["flux"][bright], kind="stable")][:RING_STARS]
+    rings = bright[parted[bright]]
+    if len(rings) < max(FEWEST_RINGS, RING_MAJORITY * len(bright)):
+        return np.zeros(len(table), np.bool_)
+    flux = np.maximum(table["flux"], 1e-30)
+    x, y = table["sum_x"] / flux, table["sum_y"] / flux
+    size = (table["sum_xx"] + table["sum_yy"]) / flux - x * x - y * y
+    usual = float(np.median(size[rings]))
+    alike = np.abs(size[rings] - usual) < RING_TOLERANCE * usual
+    if np.count_nonzero(alike) < RING_MAJORITY * len(rings):
+        return np.zeros(len(table), np.bool_)
+    return np.asarray(parted & (size < (1.0 + RING_TOLERANCE) * usual))
 
 
 @kernel

@@ -63,6 +63,11 @@ VALLEY_SIGMA = 4.0
 """Noise of a pixel by which it must fall, too: by chance once in 3e4 peaks."""
 RING_SHARE = 0.05
 """Share of the brighter peak under which a fainter one is its own: the first ring of an Airy pattern has 0.0175."""
+RING_STARS, FEWEST_RINGS, RING_MAJORITY = 15, 3, 0.6
+"""Brightest objects that show whether the star image itself has several peaks, how many must have them, and which
+share: of stars in clusters and of doubles with images that touch, fewer have."""
+RING_TOLERANCE = 0.25
+"""Relative difference in the variance of images of one size: noise and pixels change that of a ring of 8 px by 0.1."""
 
 # ---------------------------------------------------------------------- halo
 HALO_PEAK_RATIO = 20.0

@@ -167,14 +167,16 @@ class FusionStatus(NamedTuple):
     """Whether the heads and the gyro agree."""
 
     state: str
-    """``no_attitude``. ``consistent``. ``head_flagged``: one head is not as stated, and the others or the gyro show
-    which. ``heads_disagree``: heads contradict one another, and nothing shows which one is right: the attitude may be
-    wrong by their difference. ``gyro_disagrees``: stars and gyro contradict one another."""
+    """``no_attitude``. ``consistent``. ``unverified``: nothing contradicts, but the attitudes are too few to show
+    whether a mounting whose motion is not stated (`Head.bending_sigma_rad`) moves by more than the covariance says, or
+    such a motion is suspected. ``head_flagged``: one head is not as stated, and the others or the gyro show which.
+    ``heads_disagree``: heads contradict one another, and nothing shows which one is right: the attitude may be wrong by
+    their difference. ``gyro_disagrees``: stars and gyro contradict one another."""
     reason: str
     """One line; empty if consistent."""
     heads: dict[str, HeadStatus]
 
     @property
     def trusted(self) -> bool:
-        """Whether the attitude is within its covariance as far as the data show."""
+        """Whether the data show that the attitude is within its covariance."""
         return self.state in ("consistent", "head_flagged")

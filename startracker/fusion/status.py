@@ -9,10 +9,16 @@ import numpy as np
 from startracker.constants import ARCSEC_RAD
 from startracker.fusion.alignments import AlignedMekf
 from startracker.fusion.state import KNOWN, MOST_REJECTED, FusionStatus, HeadRecord, HeadStatus, State
+from startracker.fusion.windows import contradiction, unseen_shift
 from startracker.tracking.mekf import chi_square_limit
 
 _NOISY = 1.5
 _FALSE_ALARM = 1e-6
+_SUSPICION = 1e-4
+"""Probability that the mean innovation of a consistent head exceeds, at one scale, the limit of a suspicion."""
+_UNSEEN = math.sqrt(2.0)
+"""Largest displacement, in standard deviations of the attitude about one axis, of a motion that need not be seen: a
+sine of this amplitude adds 1 to the mean NEES of 3."""
 
 
 def status_of(state: State, names: tuple[str, ...], t_s: float) -> FusionStatus:
@@ -26,7 +32,8 @@ def status_of(state: State, names: tuple[str, ...], t_s: float) -> FusionStatus:
         heads[name] = heads[name]._replace(state="moved", shift_rad=shift_rad)
     moved = [name for name, one in heads.items() if one.state not in ("consistent", "no_attitude")]
     if not moved and _gyro_fits(state, t_s):
-        return FusionStatus("consistent", "", heads)
+        unverified = _unverified(state)
+        return FusionStatus("unverified" if unverified else "consistent", unverified, heads)
     said = [f"head {name} {_words(heads[name])}" for name in moved]
     if far or _disputed(state.records, t_s):
         remedy = "nothing shows which head is right; check the mountings, or state their motion (bending_sigma_rad)"
@@ -34,6 +41,26 @@ def status_of(state: State, names: tuple[str, ...], t_s: float) -> FusionStatus:
     if not _gyro_fits(state, t_s) or _all_rejected(state.records):
         return FusionStatus("gyro_disagrees", "; ".join([*said, _gyro_words(state.mekf)]), heads)
     return FusionStatus("head_flagged", "; ".join([*said, "the other heads and the gyro agree"]), heads)
+
+
+def _unverified(state: State) -> str:
+    """Why a motion of a mounting that is not stated could displace the attitude by more than its covariance says
+    without having been seen; empty if it could not, and for a single head, whose mounting defines the axes."""
+    mekf, limit = state.mekf, chi_square_limit(3, _SUSPICION)
+    assert mekf is not None
+    seen = [k for k, record in enumerate(state.records) if record.used]
+    windows = [state.records[k].window for k in seen]
+    if len(seen) < 2 or all(mekf.heads[k].bending_sigma_rad for k in seen):
+        return ""
+    if max(contradiction(one) for one in windows) > limit:
+        return f"the heads differ more than {1.0 - _SUSPICION:.2%} of consistent ones: a mounting may be moving"
+    unseen_rad = unseen_shift(windows, limit)
+    if unseen_rad <= _UNSEEN * mekf.uncertainty_rad / math.sqrt(3.0):
+        return ""
+    return (
+        f"a mounting may have moved, and the attitude with it by up to {unseen_rad / ARCSEC_RAD:.2g}″, which so few "
+        "attitudes do not show; wait, or state how far mountings move (bending_sigma_rad)"
+    )
 
 
 def _is_far(mekf: AlignedMekf, head: int) -> bool:

@@ -57,6 +57,11 @@ _STILL = 1e-4
 _MOST_DISTRUST = 100.0
 _OF_ESTIMATE = 1.5
 """Ratio of the assumed standard deviation of a motion to the motion that is estimated."""
+_ABSORBED = 2.5
+"""Ratio of the displacement of the attitude by a steady motion of a mounting to the mean innovation that shows it: the
+innovations are what the filter has not followed yet."""
+_FREE = 10.0
+"""Ratio of the standard deviation of a motion that need not come back to that of one that does."""
 _AGREE, _CONTRADICT = 0.05, 1e-6
 """Probabilities of χ² for heads that agree with the gyro, and that do not."""
 
@@ -128,7 +133,7 @@ def _doubted(state: State, found: Finding) -> AlignedMekf:
     mekf = state.mekf.copy()
     mekf.distrust(_LOSE_CONFIDENCE)
     if found.heads:
-        wrong_rad = max(found.shift_rad)
+        wrong_rad = _ABSORBED * max(found.shift_rad)
         if min(record.used for record in state.records if record.used) < 2 * _ANCHOR_FRAMES:
             # the alignments were not known before the motion began, and have absorbed a part of it
             wrong_rad = max(wrong_rad, *(head.alignment_sigma_rad for head in mekf.heads))
@@ -278,7 +283,7 @@ def _alarmed(state: State, found: Finding) -> State:
     elif before is not None and mekf.has_gyro:
         fresh = fresh._replace(rivals=tuple(Rival(k, mekf) for k in found.heads), coasting=before)
     for k, shift_rad in zip(found.heads, found.shift_rad, strict=True):
-        mekf = _bent(mekf, k, shift_rad, found.duration_s)
+        mekf = _bent(mekf, k, shift_rad, found.duration_s, found.resolved)
         was = records[k].motion
         resolved = found.resolved and (not _is_active(was, state.t_s) or _is_resolved(records[k]))
         records[k] = records[k]._replace(motion=Shift(max(shift_rad, mekf.bending_rad(k)), resolved, until_s))
@@ -293,14 +298,20 @@ def _is_resolved(record: HeadRecord) -> bool:
     return record.motion is not None and record.motion.resolved
 
 
-def _bent(mekf: AlignedMekf, head: int, shift_rad: float, duration_s: float) -> AlignedMekf:
-    """The filter with a larger motion of a mounting: at least that seen, and twice the one assumed so far."""
+def _bent(mekf: AlignedMekf, head: int, shift_rad: float, duration_s: float, resolved: bool) -> AlignedMekf:
+    """The filter with a larger motion of a mounting: at least that seen, and twice the one assumed so far.
+
+    The mounting of a head that is known to be the one that moves need not come back: its process diffuses as fast, but
+    hardly returns to zero. Otherwise its mean position would continue to define the axes of the body, and those
+    alignments that were learned while it moved would follow it.
+    """
     after = mekf.copy()
     before_rad = mekf.bending_sigma_rad(head)
     sigma_rad = max(2.0 * shift_rad, 2.0 * before_rad, _OF_ESTIMATE * mekf.bending_rad(head))
     correlation_s = max(4.0 * duration_s, mekf.bending_s(head) if before_rad else 0.0)
     sigma_rad = min(sigma_rad, max(_LARGEST_RAD, before_rad))
-    after.bend(head, sigma_rad, correlation_s, at_once_rad=sigma_rad)
+    free = _FREE if resolved else 1.0
+    after.bend(head, free * sigma_rad, free**2 * correlation_s, at_once_rad=sigma_rad)
     return after
 
 

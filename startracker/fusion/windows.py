@@ -35,6 +35,8 @@ _WORST = 5.5
 """Length to which a whitened innovation is cut, so that a single outlier does not raise an alarm."""
 _FARTHEST2 = 1e3
 """χ² of a single attitude beyond which it is an outlier that says nothing about mounting and noise."""
+_DISPLACED = 0.75
+"""Displacement of the attitude by a motion of a mounting that is not known, see `unseen_shift`."""
 _SCATTER = 64
 _MOST_NOISE = 1e4
 """Largest factor on the covariance of a head."""
@@ -123,7 +125,7 @@ def finding(records: Sequence[HeadRecord], head: int) -> Finding | None:
     window = records[head].window
     if window.frames < SCALES[0]:
         return None
-    z2 = np.sum(window.mean**2, axis=1) / (_variance(window.frames) * max(window.scatter, 1.0))
+    z2 = _chi2_of_means(window)
     scale = int(np.argmax(z2))
     if not z2[scale] > chi_square_limit(3, _FALSE_ALARM):
         return None
@@ -139,6 +141,47 @@ def finding(records: Sequence[HeadRecord], head: int) -> Finding | None:
     if len(found.heads) > 2 and z2[scale] < _WAIT * chi_square_limit(3, _FALSE_ALARM):
         return None  # more frames will show which of them it is
     return found
+
+
+def contradiction(window: Window) -> float:
+    """χ² (3 degrees of freedom) of the mean innovation of a head, the largest of all scales."""
+    if window.frames < SCALES[0]:
+        return 0.0
+    return float(_chi2_of_means(window).max())
+
+
+def _chi2_of_means(window: Window) -> FloatArray:
+    return np.asarray(
+        np.sum(window.mean**2, axis=1) / (_variance(window.frames) * max(window.scatter, 1.0)), dtype=float
+    )
+
+
+def unseen_shift(windows: Sequence[Window], chi2: float) -> float:
+    """Displacement of the attitude, rad, by a steady motion of one mounting that begins with the averages and is not
+    seen yet.
+
+    Head k differs from the others by white noise of variance v_k in each frame, on one axis. The slope of the
+    difference over N frames and a time T is known with the variance 12 v_k/(N T²), so that a motion which ends at the
+    distance D has a mean χ² of D² N/(12 v_k). While it lasts, the constant alignments of the other heads take up its
+    mean, D/2, so that an attitude from two heads is displaced by D (1 + 1/2)/2. Infinite before there are two heads.
+
+    Parameters
+    ----------
+    windows : sequence of Window
+        Those of the heads that have given attitudes.
+    chi2 : float
+        From which a motion counts as seen.
+    """
+    variance = np.array([float(np.sum(one.factor**2)) / 3.0 for one in windows])
+    frames, worst = np.array([one.frames for one in windows]), 0.0
+    for k in range(len(windows)):
+        others = np.delete(np.arange(len(windows)), k)
+        compared = min(int(frames[k]), int(frames[others].max(initial=0)))
+        if not compared:
+            return math.inf
+        between = variance[k] + 1.0 / float(np.sum(1.0 / variance[others]))
+        worst = max(worst, math.sqrt(12.0 * chi2 * between / compared))
+    return _DISPLACED * worst
 
 
 def _explained(present: Mapping[int, Window], scale: int, duration_s: float) -> Finding:

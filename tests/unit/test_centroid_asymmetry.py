@@ -5,8 +5,10 @@ import pytest
 from scipy.special import erf
 
 from startracker.centroid import maximum_likelihood
-from startracker.centroid.asymmetry import displaced_part, measure_difference
+from startracker.centroid.asymmetry import correct_asymmetry, displaced_part, measure_difference
+from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_model import gaussian_psf
+from startracker.centroid.psf_shape import fit_gaussian
 from startracker.centroid.window import Pixels
 from startracker.detection import Background, Spots
 from startracker.settings import CentroidSettings
@@ -87,3 +89,57 @@ def test_faint_stars_are_where_bright_ones_are(turned):
     assert found.common_px2 is not None
     across = (places - xy)[:, 0 if turned else 1]
     assert abs(across.mean()) < 0.003
+
+
+def common_ellipse(image, xy, half=3, contrast=0.0):
+    """The Gaussian that the nine brightest stars have in common."""
+    background = Background(np.zeros_like(image), np.full_like(image, NOISE))
+    pixels = Pixels(image, background.level_plane, background.noise_plane, 1.0 / GAIN, 0.0)
+    starts = Starts(xy[:, 0].copy(), xy[:, 1].copy(), np.full(len(xy), half), np.full(len(xy), np.inf))
+    return fit_gaussian(pixels, starts, np.arange(9), half, (0.5, 0.5, 0.0), contrast)[0]
+
+
+@pytest.mark.parametrize("contrast", [0.0, 50.0])
+def test_the_common_ellipse_of_gaussians_is_theirs(contrast):
+    image, xy, _ = frame(SYMMETRIC)
+    # the nodes of the pixels' integrals: 3 along each axis
+    np.testing.assert_allclose(common_ellipse(image, xy, contrast=contrast), [SIGMA**2, SIGMA**2, 0.0], atol=1e-3)
+
+
+def test_the_width_of_undersampled_images_is_not_biased():
+    """A star in the middle of a pixel does not show that its image is narrow, and fits of single stars then have none:
+    their medians were too wide. Stars of a signal-to-noise ratio of 12 to 40."""
+    image, xy, _ = frame(SYMMETRIC)
+    found = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        noisy = (0.04 * image + NOISE * rng.normal(size=image.shape)).astype(np.float32)
+        found.append(common_ellipse(noisy, xy, half=2)[0])
+    assert np.isfinite(found).all()
+    assert np.mean(found) == pytest.approx(SIGMA**2, abs=4.0 * np.std(found) / np.sqrt(len(found)))
+
+
+def test_an_orientation_that_pixels_do_not_resolve_is_left_out():
+    """Coma along x is symmetric in y. At chance positions in the pixels the ellipses of nine narrow images were turned
+    by the same sign, which moved all stars along y."""
+    image, xy, _ = frame(((0.75, -0.12), (0.25, 0.36)))
+    xx, yy, xy_ = common_ellipse(image, xy)
+    assert xy_ == 0.0 or abs(xy_) < 0.01 * np.sqrt(xx * yy)
+
+
+def test_a_displacement_that_is_not_sure_is_in_the_covariance():
+    """At even odds or less positions stay, and the displacement is part of their covariance; not at 0.15 or less."""
+    image, xy, flux = frame(SKEW)
+    background = Background(np.zeros_like(image), np.full_like(image, NOISE))
+    pixels = Pixels(image, background.level_plane, background.noise_plane, 1.0 / GAIN, 0.0)
+    psf = gaussian_psf(SIGMA**2, SIGMA**2, radius_px=6.0)
+    table, unfit = np.column_stack([xy, flux, np.full((len(xy), 3), 1e-3)]), np.zeros(len(xy), bool)
+    found = measure_difference(pixels, psf, table, unfit, 2)._replace(mean=np.array([0.1, 0.0]))
+    for asymmetric, moved, stated in ((0.9, True, True), (0.4, False, True), (0.1, False, False)):
+        after = table.copy()
+        common = correct_asymmetry(found._replace(asymmetric=asymmetric), pixels, psf, after, unfit)
+        assert (after[:, 0] != table[:, 0]).any() == moved
+        assert (common[0, 0] > 0.0) == stated
+        faint = after[-1, 3] + common[0, 0] - table[-1, 3]
+        if stated and not moved:
+            assert faint > found.covariance[0, 0]
