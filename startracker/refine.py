@@ -83,7 +83,7 @@ class Measured(NamedTuple):
     """Covariance, (N, 2, 2), if the axes differ, as for streaks."""
     common_px2: FloatArray | None = None
     """Covariance of an error common to all centroids, (2, 2), which rotates the attitude and does not appear in
-    residuals."""
+    residuals. None: the star images show none, or cannot."""
     misfit: float | None = None
     """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
 
@@ -143,7 +143,8 @@ def refine(
     used, named, fits = fit.used, fit.named, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
-        common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
+        measured = stars.common_px2 is not None
+        common_px2 = shared_shift(fit.errors, measured) + (stars.common_px2 if measured else 0.0)
         covariance = covariance + rotation_of_shift(common_px2, camera)
     if not same(named[fits], used):
         named, fits = joined(used, named)
