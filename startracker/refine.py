@@ -143,8 +143,8 @@ def refine(
     used, named, fits = fit.used, fit.named, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
-        measured = stars.common_px2 is not None
-        common_px2 = shared_shift(fit.errors, measured) + (stars.common_px2 if measured else 0.0)
+        shift = shared_shift(fit.errors, stars.common_px2 is not None)
+        common_px2 = shift if stars.common_px2 is None else shift + stars.common_px2
         covariance = covariance + rotation_of_shift(common_px2, camera)
     if not same(named[fits], used):
         named, fits = joined(used, named)
