@@ -125,7 +125,8 @@ def refine(
     used, named, fits = fit.used, fit.named, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
-        common_px2 = shared_shift(fit.errors) + (0.0 if stars.common_px2 is None else stars.common_px2)
+        shift = shared_shift(fit.errors, stars.common_px2 is not None)
+        common_px2 = shift if stars.common_px2 is None else shift + stars.common_px2
         covariance = covariance + rotation_of_shift(common_px2, camera)
     if not np.array_equal(named[fits], used):
         named, fits = joined(used, named)

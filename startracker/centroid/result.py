@@ -68,7 +68,7 @@ class Measured(NamedTuple):
     """Covariance, (N, 2, 2), if the axes differ, as for streaks."""
     common_px2: FloatArray | None = None
     """Covariance of an error common to all centroids, (2, 2), which rotates the attitude and does not appear in
-    residuals."""
+    residuals. None: the star images show none, or cannot."""
     misfit: float | None = None
     """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
 

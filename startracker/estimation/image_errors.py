@@ -33,6 +33,8 @@ AMPLITUDE_SIGMA = np.array([*np.tile([1.4, 1.4, 0.7, 0.7], 2), 3.0])
 at the corners."""
 _SHARED_PART = 0.1
 """Ratio of the common shift of all stars to the amplitude of the cosines, measured for coma in and out of focus."""
+_UNCERTAIN = 0.4
+"""Part of that shift that remains uncertain where star images show it, as in `startracker.centroid.asymmetry`."""
 
 
 class ImageErrors(NamedTuple):
@@ -64,17 +66,25 @@ def error_columns(xy: FloatArray, field: FloatArray) -> FloatArray:
     return out
 
 
-def shared_shift(errors: ImageErrors) -> FloatArray:
+def shared_shift(errors: ImageErrors, measured: bool) -> FloatArray:
     """Covariance (2, 2) of the common shift of all stars associated with the cosines, px².
 
     A symmetric image only has sines. The skewness that causes the cosines also displaces all stars, faint ones
     differently than those of a calibration, without residuals. The variances are subtracted from the squares of the
     amplitudes, as noise and skewness that varies over the field cause no common displacement.
+
+    Parameters
+    ----------
+    errors : ImageErrors
+    measured : bool
+        Whether star images have shown the displacement, so that it was subtracted, or is in the covariance
+        (`startracker.centroid.asymmetry`, `startracker.centroid.skewness`).
     """
     if not len(errors.amplitudes):
         return np.zeros((2, 2))
     squares = (errors.amplitudes**2 - errors.variance)[: 4 * _HARMONICS].reshape(2, _HARMONICS, 2)[:, :, 1]
-    return np.diag(_SHARED_PART**2 * np.maximum(squares.sum(axis=1), 0.0))
+    part = _UNCERTAIN * _SHARED_PART if measured else _SHARED_PART
+    return np.diag(part**2 * np.maximum(squares.sum(axis=1), 0.0))
 
 
 def probability_as_assumed(misfit: float | None) -> float:

@@ -2,6 +2,8 @@
 
 The normalised error squared of an attitude is χ² of 3 degrees of freedom where the covariance is true: mean 3, variance
 6. Its mean over n trials lies within 3 ± 1.96 √(6/n) in 95 % of cases; quick versions allow four standard deviations.
+With a true covariance all fourteen scenarios are inside for only half of the seeds (0.95^14 = 0.49), but for 99 of 100
+seeds within bounds that each exceeds in 0.07 % of cases: 3 ± 0.34 for 600 frames. docs/tracker.md has the values.
 """
 
 from dataclasses import replace
@@ -72,8 +74,9 @@ def test_the_covariance_is_inside_its_bounds(name):
     trials = 300 if "10 deg/s" in name else 600
     nees = normalised_errors(MISMATCHES[name], trials, 77)
     nees = nees[np.isfinite(nees)]
-    low, high = mean_chi_square_bounds(len(nees), 3)
-    assert low <= nees.mean() <= high
+    tail, freedom = 0.5 * 0.01 / len(MISMATCHES), 3.0 * len(nees)
+    low, high, mean = chi2.ppf(tail, freedom) / len(nees), chi2.isf(tail, freedom) / len(nees), float(nees.mean())
+    assert low <= mean <= high
 
 
 @pytest.fixture(scope="module")
