@@ -85,6 +85,7 @@ class Copy:
         """Exit status of pytest, or none if it did not end."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *tests]
         environment = {"PYTHONPATH": str(self.folder), "PATH": "/usr/bin:/bin", "HOME": str(self.folder)}
+        environment["OPENBLAS_NUM_THREADS"] = "1"
         if record is not None:
             command[4:4] = ["-p", "benchmarks.mutation.recording"]
             environment[VARIABLE] = str(record)
