@@ -14,7 +14,7 @@ from startracker.observer import Observer
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.evidence import log_assignments
-from startracker.tracking.looking import Sky, look, window_half
+from startracker.tracking.looking import Expected, Sky, look, window_half
 from startracker.tracking.matching import Match, match_gated, spreads, track
 from startracker.tracking.scatter import Scatter
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
@@ -150,6 +150,17 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     # 900 over 3: some 0.01 px, plus what the widths measured on few stars leave
     assert max(found) < 0.06
     assert seen.windows == CAMERA.contains(np.rint(centre)).sum()
+    assert seen.area_sr == pytest.approx(seen.windows * ((2 * half + 1) * CAMERA.pixel_rad) ** 2)
+    assert seen.window_half_px == half
+    np.testing.assert_array_equal(seen.window_xy, np.rint(centre)[CAMERA.contains(np.rint(centre))])
+    wide = look(image, tracker, expected, 60, 0.0, 1.0, None, 1.0)
+    assert wide.area_sr == tracker.guide.solid_angle_sr  # no more than the whole frame
+    doubted = look(image, tracker, expected, half, 0.0, 3.0, None, 1.0)
+    np.testing.assert_allclose(doubted.sigma_px, 3.0 * seen.sigma_px, rtol=1e-5)
+    np.testing.assert_allclose(doubted.stated_px, seen.stated_px, rtol=1e-5)
+    trusted = look(image, tracker, expected, half, 0.0, 0.3, None, 1.0)
+    np.testing.assert_allclose(trusted.sigma_px, seen.stated_px, rtol=1e-5)
+    np.testing.assert_allclose(seen.gate_px**2 - seen.stated_px**2, seen.gate_px[0] ** 2 - seen.stated_px[0] ** 2)
     assert window_half(tracker, expected, np.eye(3) * 1e-2, 0.0, 20) is None  # windows too large
     assert look(image, tracker, expected, None, 0.0, 1.0, None, 1.0) is None
     assert look(image[:10], tracker, expected, half, 0.0, 1.0, None, 1.0) is None
@@ -211,3 +222,24 @@ def test_frames_are_accepted_by_the_rule_of_identification(tracker):
         assert found.solved == (other is loose), found.reason
         assert session.state.matched == 1  # the filter takes the star in either way
         assert not found.solved or found.log_false_alarm == session.state.log_chance < 0.0
+
+
+def test_windows_reach_as_far_as_the_prediction_and_the_streak():
+    """4.3 standard deviations, half a centroid window and 5 px; half of the streak's length in addition."""
+    expected = Expected(np.arange(2), np.zeros((2, 3)), np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]]))
+    tracker = StarTracker(Camera.from_fov(4.0, 512, 512), magnitude_limit=6.0)
+    pixel = tracker.camera.pixel_rad
+    sigma_px, side = 2.0, tracker.centroid.window_px // 2 + 5
+    covariance = np.diag([1.0, 1.0, 0.0]) * (sigma_px * pixel) ** 2 / 2.0  # the length of the error, over both axes
+    half = math.ceil(4.3 * sigma_px * (1.0 + 1e-4)) + side
+    assert window_half(tracker, expected, covariance, 0.0, 60) == half
+    assert window_half(tracker, expected, covariance, 0.0, half) == half
+    assert window_half(tracker, expected, covariance, 0.0, half - 1) is None
+    assert window_half(tracker, expected, covariance, 5.0, half) == half + 3
+    assert window_half(tracker, expected, covariance, 10.0, half) == half + 5
+    assert window_half(tracker, expected, covariance, 10.1, half) is None
+    # at most half of the frame: 512² pixels over 2 (2 half + 1)²
+    most = int((math.sqrt(512**2 / 4) - 1) / 2)
+    wide = (most - side) / 4.3 / math.sqrt(2.0) * pixel
+    assert window_half(tracker, expected, np.diag([1.0, 1.0, 0.0]) * (0.999 * wide) ** 2, 0.0, 1000) == most
+    assert window_half(tracker, expected, np.diag([1.0, 1.0, 0.0]) * (1.003 * wide) ** 2, 0.0, 1000) is None
