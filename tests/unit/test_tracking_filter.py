@@ -12,6 +12,7 @@ from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, Mekf, RateNoise
 from startracker.tracking.kinematics import correct
 from startracker.tracking.mekf import chi_square_limit
+from startracker.tracking.watched import WatchedFilter
 
 START = Attitude.from_radec_roll(10.0, -30.0, 200.0)
 
@@ -205,3 +206,62 @@ def test_gyro_that_falls_silent_costs_certainty():
 def test_what_cannot_be_is_refused(wrong):
     with pytest.raises(InputError):
         wrong(Mekf(START, np.eye(3)))
+
+
+def test_doubt_adds_the_variances_of_errors():
+    """Of the attitude, of the bias or the rate, and of the scale factors by what was stated of them."""
+    for noise in (GyroNoise(3e-5, 1e-6, 1e-4, scale_sigma=1e-3), GyroNoise(3e-5, scale_sigma=0.0), RateNoise()):
+        twin = Mekf(START, np.diag([1.0, 2.0, 30.0]) * 1e-8, noise)
+        before, scale = twin.covariance, twin.scale_sigma
+        twin.doubt(3e-4, 2e-5)
+        np.testing.assert_allclose(
+            twin.covariance - before, np.diag(np.repeat([9e-8, 4e-10], 3)), rtol=1e-9, atol=1e-22
+        )
+        np.testing.assert_allclose(twin.scale_sigma, scale * math.sqrt(2.0))
+        kept = twin.covariance
+        twin.distrust(4.0)
+        np.testing.assert_allclose(twin.covariance, 4.0 * kept)
+
+
+def test_the_prior_of_a_prediction_is_five_standard_deviations_wide():
+    """At least 0.1°; none if that is more than the limit."""
+    watched = WatchedFilter(RateNoise(), 1e-6)
+    assert watched.prior(10.0) == (None, 1.0)
+    assert watched.uncertainty_rad == math.inf
+    assert watched.covariance is None
+    watched.begin(START, np.eye(3) * 1e-12)
+    attitude, found = watched.prior(0.1)
+    assert found == 0.1
+    assert attitude.angle_to(START) < 1e-12
+    assert watched.prior(0.0999) == (None, 1.0)
+    watched.begin(START, np.diag([1.0, 4.0, 4.0]) * 1e-6)
+    width = math.degrees(5.0 * 3e-3)
+    attitude, found = watched.prior(1.001 * width)
+    assert attitude.angle_to(START) < 1e-12
+    assert found == pytest.approx(width)
+    assert watched.prior(0.999 * width) == (None, 1.0)
+
+
+def test_a_prediction_beyond_a_right_angle_is_no_longer_one():
+    watched = WatchedFilter(RateNoise(), 1e-6)
+    watched.predict(1.0, None)
+    for sigma, kept in ((0.999, True), (1.001, False)):
+        watched.begin(START, np.eye(3) * (sigma * math.pi / 2.0) ** 2 / 3.0)
+        watched.predict(0.0, None)
+        assert (watched.mekf is not None) is kept
+    watched.begin(START, np.eye(3))
+    watched.forget()
+    assert watched.mekf is None
+
+
+def test_gyro_samples_that_cannot_be_are_ignored_with_a_remark():
+    watched = WatchedFilter(GyroNoise(), 1e-6)
+    assert watched.has_gyro
+    assert not WatchedFilter(RateNoise(), 1e-6).has_gyro
+    assert watched.sample(None) == (None, "")
+    sample, remark = watched.sample([0.1, 0.2, -0.3])
+    assert (sample.tolist(), remark) == ([0.1, 0.2, -0.3], "")
+    assert watched.sample([0.1, math.nan, 0.0]) == (None, "the gyro sample is not finite and was ignored")
+    sample, remark = watched.sample([0.0, -1e6, 0.0])
+    assert sample is None
+    assert remark.startswith("the gyro sample is beyond ")

@@ -243,3 +243,21 @@ def test_windows_reach_as_far_as_the_prediction_and_the_streak():
     wide = (most - side) / 4.3 / math.sqrt(2.0) * pixel
     assert window_half(tracker, expected, np.diag([1.0, 1.0, 0.0]) * (0.999 * wide) ** 2, 0.0, 1000) == most
     assert window_half(tracker, expected, np.diag([1.0, 1.0, 0.0]) * (1.003 * wide) ** 2, 0.0, 1000) is None
+
+
+@pytest.mark.parametrize("octant", range(8))
+@pytest.mark.parametrize("axis", [0.02, 0.6])
+def test_one_star_turns_an_uncertain_prediction_by_the_kalman_gain(octant, axis):
+    """A prediction of 0.5° and a star of 0.2″ in any direction, as whole-sky cameras have them."""
+    signs = [1.0 - 2.0 * (octant >> n & 1) for n in range(3)]
+    predicted = np.array(signs) * [axis, 0.05, math.sqrt(1.0 - axis**2 - 0.05**2)]
+    covariance = np.diag([1.0, 2.0, 3.0]) * math.radians(0.5) ** 2
+    across = np.cross(predicted, [0.3, -0.5, 0.8])
+    seen = math.cos(1e-3) * predicted + math.sin(1e-3) * across / np.linalg.norm(across)
+    partner, turn, _, evidence = track(seen[None], np.array([1e-6]), predicted[None], covariance, 1.0)
+    assert partner.tolist() == [0]
+    assert math.isfinite(evidence)
+    # the displacement is p × δ, and δ = P Hᵀ (H P Hᵀ)⁻¹ of it; the second order is 1e-6
+    h = np.cross(predicted, np.eye(3)).T
+    expected = covariance @ h.T @ np.linalg.pinv(h @ covariance @ h.T, rcond=1e-9) @ (seen - predicted)
+    assert np.abs(turn - expected).max() < 3e-6
