@@ -236,7 +236,7 @@ AREAS = {
     ),
     "trails": Area(
         ("startracker/trails/*.py", "startracker/detection/trailed.py"),
-        ("*/test_detection_streaks", "unit/test_points_and_trails"),
+        ("*/test_detection_streaks", "unit/test_points_and_trails", "unit/test_trail_model"),
     ),
     "centroid": Area(
         ("startracker/centroid/*.py",),
@@ -292,8 +292,11 @@ AREAS = {
             "unit/test_solution*",
             "unit/test_field_attitude",
             "unit/test_outliers",
-            "unit/test_unexplained",
+            "unit/test_unexplained*",
             "unit/test_other_stars",
+            "unit/test_image_errors",
+            "unit/test_whole_field",
+            "unit/test_best_evidence",
         ),
     ),
     "tracking": Area(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from startracker.detection.plane import as_plane
+from startracker.detection.plane import Plane, as_plane, fill_plane
+from startracker.trails.lines import best_lines, bin_residual
 from startracker.trails.model import (
     ANGLE,
     BLOCK,
@@ -166,3 +167,45 @@ def test_what_is_saturated_or_not_finite_has_no_residual():
     expected = [[10.0, 98.0], [np.nan, np.nan], [np.nan, np.nan]]
     np.testing.assert_array_equal(residual_of(image, as_plane(level), 100.0), expected)
     np.testing.assert_array_equal(residual_of(image, as_plane(level), math.inf)[1:, 0], [98.0, 97.0])
+
+
+def test_bins_are_sums_over_squares_in_standard_deviations():
+    """With noise that is linear between three lines, the last of which lies below the image's last row."""
+    rng = np.random.default_rng(4)
+    lines = np.outer([1.0, 2.0, 7.0], np.linspace(1.0, 1.3, 14)).astype(np.float32)
+    rows = np.linspace(0.0, 1.95, 17)
+    noise = Plane(lines, np.floor(rows).astype(np.int64), (rows % 1.0).astype(np.float32))
+    residual = rng.normal(size=(17, 14)).astype(np.float32)
+    residual[3, 4], residual[5, 7], residual[6, 8] = np.nan, np.inf, -np.inf
+    for side in (1, 2, 3, 4):
+        height, width = 17 // side, 14 // side
+        kept = np.where(np.isfinite(residual), residual, 0.0)[: height * side, : width * side]
+        sums = kept.reshape(height, side, width, side).sum(axis=(1, 3))
+        scale = side * fill_plane(noise)[: height * side : side, : width * side : side]
+        np.testing.assert_allclose(bin_residual(residual, noise, side), sums / scale, rtol=1e-4, atol=1e-5)
+
+
+def test_the_best_line_through_each_bin_is_that_of_all_sums():
+    """A value a column, on the nearest row of the sheared image; beyond its borders there is nothing to be summed."""
+    rng = np.random.default_rng(5)
+    bins = rng.normal(size=(15, 9)).astype(np.float32)  # column by column
+    slopes = np.array([-0.9, -0.3, 0.0, 0.45])
+    every, spans = np.array([2, 1]), np.array([[3, 7], [4, 8], [3, 7], [5, 9]])
+    best, line = best_lines(bins, slopes, every, spans)
+    width, height = bins.shape
+    expected, which = np.full((width, height), -np.inf), np.zeros((width, height), int)
+    for k, slope in enumerate(slopes):
+        offset = np.floor(slope * (np.arange(width) - 0.5 * width) + 0.5).astype(int)
+        for m in range(2):
+            if k % every[m]:
+                continue
+            span = spans[k, m]
+            for x in range(width - span + 1):
+                middle = x + span // 2
+                for y in range(height):
+                    at = [y + offset[c] - offset[middle] for c in range(x, x + span)]
+                    total = sum(bins[x + c, row] for c, row in enumerate(at) if 0 <= row < height)
+                    if total / math.sqrt(span) > expected[middle, y]:
+                        expected[middle, y], which[middle, y] = total / math.sqrt(span), 2 * k + m
+    np.testing.assert_allclose(best, expected, atol=1e-5)
+    np.testing.assert_array_equal(line, which)
