@@ -264,6 +264,7 @@ AREAS = {
             "unit/test_tracker_answers",
             "unit/test_unexplained",
             "unit/test_acceptance",
+            "unit/test_around_prior",
             "unit/test_integer_verification",
             "unit/test_flight_search",
             "unit/test_flight_triads",
