@@ -176,3 +176,34 @@ def test_the_average_is_over_hypotheses_of_a_twentieth_of_the_best_and_more():
 def test_hypotheses_are_compared_of_four_to_twelve_stars(stars, compared):
     fit = made_fit(0.0)._replace(chi2=chi2.isf(0.04, 2 * stars - 3))
     assert bool(is_suspicious(fit, stars)) is compared
+
+
+@pytest.mark.parametrize("count", [5, 9])
+def test_a_fit_does_not_depend_on_the_orientation_of_the_image(count):
+    """A frame rotated by 90°, with unknown errors along one axis only: the same fit, about rotated axes."""
+    rng = np.random.default_rng(10 + count)
+    xy = rng.uniform(0.0, 1023.0, (count, 2))
+    centre = np.array([CAMERA.cx, CAMERA.cy])
+    rotation = np.array([[0.0, -1.0], [1.0, 0.0]])
+    errors = np.column_stack([rng.normal(0.0, 0.05, count), np.zeros(count)])
+    fits = []
+    for turned in (np.eye(2), rotation):
+        vectors = CAMERA.unproject(centre + (xy - centre) @ turned.T)
+        stars = Linearised(
+            errors @ turned.T,
+            pixel_slopes(vectors, CAMERA.image_map),
+            CAMERA.project(vectors) - centre,
+            np.tile(np.eye(2), (count, 1, 1)),
+            np.empty((count, 2, 0)),
+            np.empty(0),
+        )
+        fits.append(fit_pose(stars, 0.0, 0, 3, 2))
+    one, other = fits
+    assert other.factor == pytest.approx(one.factor, rel=1e-9)
+    assert other.chi2 == pytest.approx(one.chi2, rel=1e-9)
+    assert other.log_evidence == pytest.approx(one.log_evidence, rel=1e-9)
+    np.testing.assert_allclose(other.sigma_px, one.sigma_px, rtol=1e-9)
+    axes = np.eye(3)
+    axes[:2, :2] = rotation
+    np.testing.assert_allclose(other.turn, axes @ one.turn, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(other.covariance, axes @ one.covariance @ axes.T, rtol=1e-6, atol=1e-18)
