@@ -240,6 +240,8 @@ def page(states: list[State]) -> str:
             f"| {state.area} | {state.seed} | {len(state.outcomes)} | {len(state.outcomes) - counted} | {noticed} | "
             f"{100 * noticed / max(counted, 1):.0f} % | {100 * low:.0f} to {100 * high:.0f} % |"
         )
+    left_out = [name for name in AREAS if name not in {state.area for state in states}]
+    lines += ["", f"Not measured in these runs: {', '.join(left_out)}."] if left_out else []
     lines += ["", "Not noticed:", "", *(missed or ["none"])]
     lines += ["", "Equivalent, with the reason:", "", *same] if same else []
     return "\n".join(lines) + "\n"

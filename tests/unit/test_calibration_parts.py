@@ -13,7 +13,9 @@ from startracker.calibration.applied import applied_change
 from startracker.calibration.consensus import FocalLengths, agreeing, repeated
 from startracker.calibration.field import SkyPart, pair_up, sky_part
 from startracker.calibration.known import KnownField, starting_camera
+from startracker.calibration.residual_field import FIELD_TERMS, ResidualField, field_columns
 from startracker.calibration.result import CalibratedField, Calibration
+from startracker.calibration.star_memory import StarMemory
 from startracker.catalog import load_catalog
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.distortion import Distortion
@@ -213,3 +215,83 @@ def test_standard_errors_of_both_focal_lengths():
     assert square["fx"][1] == pytest.approx(1.0)
     assert square["fy"][1] == pytest.approx(1.01)
     assert square["p1"] == (1e-3, pytest.approx(3e-4), "")
+
+
+# ---------------------------------------------------------------------- memory of stars, and the displacement field
+def test_residuals_of_a_star_fade_and_long_ones_are_cut():
+    """Weights 1/σ² of one hundredth less at each new one; a residual counts for at most five standard errors."""
+    memory = StarMemory(2, 1e-6)
+    assert memory.rows(np.array([7, 9, 7])).tolist() == [0, 1, 0]
+    assert memory.rows(np.array([11, 9])).tolist() == [2, 1]
+    sigma, lens = 3e-6, 4e-6
+    sums, weights, squares = np.zeros(3), 0.0, 0.0
+    for k, residual in enumerate([2e-6, -1e-6, 1e-3]):
+        memory.add_residuals(np.array([1]), np.array([[0.0, residual, 0.0]]), np.array([sigma]), np.array([lens]))
+        kept = min(abs(residual), 25e-6) * np.sign(residual)  # five times 5e-6
+        sums = 0.99 * sums + np.array([0.0, kept, 0.0]) / sigma**2
+        weights, squares = 0.99 * weights + sigma**-2, 0.99**2 * squares + sigma**-2
+        np.testing.assert_allclose(memory._sum[1], sums)
+        np.testing.assert_allclose(memory._weight[1, :2], [weights, squares])
+        np.testing.assert_allclose(memory._weight[1, 3], lens**2)
+        assert memory.sightings(np.array([0, 1])) == pytest.approx([0.0, sum(0.99**i for i in range(k + 1))])
+    assert (memory._sum[[0, 2]] == 0.0).all()
+
+
+@pytest.mark.parametrize(("share", "trusted"), [(0.99, True), (1.01, False)])
+def test_a_star_that_stays_off_is_not_used(share, trusted):
+    """χ² of its mean residual above 13.8, with noise, lens and constant errors; tested from five sightings on."""
+    memory, sigma, lens = StarMemory(1, 2e-6), 3e-6, 1e-6
+    rows = memory.rows(np.array([5]))
+    for count in range(1, 9):
+        weights = 0.99 ** np.arange(count)
+        noise2 = sigma**2 * np.sum(weights**2) / np.sum(weights) ** 2
+        off = share * math.sqrt(13.8 * (noise2 + lens**2 + (2e-6) ** 2))
+        single = StarMemory(1, 2e-6)
+        rows = single.rows(np.array([5]))
+        for _ in range(count):
+            single.add_residuals(rows, np.array([[off, 0.0, 0.0]]), np.array([sigma]), np.array([lens]))
+        # below five fading sightings nothing is said: the sixth reaches them
+        assert single.trusted(rows).tolist() == [trusted or count < 6]
+    assert memory.trusted(memory.rows(np.array([5, 6]))).all()
+
+
+def test_constant_errors_of_stars_are_followed_through_the_lens():
+    """S ← M S + ∂, and the covariance is the sum over stars and axes."""
+    rng = np.random.default_rng(3)
+    memory, slopes = StarMemory(2, 1e-6), np.zeros((3, 2, 3))
+    rows = memory.rows(np.array([1, 2, 3]))
+    for used in ([0, 1], [1, 2], [2]):
+        update, added = rng.normal(size=(2, 2)), rng.normal(size=(len(used), 2, 3))
+        memory.follow(update, rows[used], added)
+        slopes = np.einsum("pq,jqk->jpk", update, slopes)
+        slopes[used] += added
+        expected = 1e-12 * np.einsum("jpk,jqk->pq", slopes, slopes)
+        np.testing.assert_allclose(memory.covariance, expected)
+
+
+def test_displacements_of_a_field_are_orthogonal_and_of_one_size():
+    """Over the pixels of an image, up to the grid: 1 on one axis, and no constant, rotation or scale among them."""
+    camera = Camera.from_fov(10.0, 120, 80)
+    y, x = np.mgrid[:80, :120]
+    xy = np.column_stack([x.ravel(), y.ravel()]).astype(float)
+    columns = field_columns(camera, xy)
+    assert columns.shape == (9600, 2, FIELD_TERMS)
+    products = np.einsum("mik,mil->kl", columns, columns) / len(xy)
+    expected = np.eye(FIELD_TERMS)
+    expected[0, 0] = expected[1, 1] = 2.0  # on both axes
+    np.testing.assert_allclose(products, expected, atol=5e-3)
+    u, v = (2.0 * (xy - [59.5, 39.5]) / [120, 80]).T
+    nothing = np.zeros_like(u)
+    for one in ([u, v], [-v, u], [np.ones_like(u), nothing], [nothing, np.ones_like(u)]):
+        along = np.einsum("mik,im->k", columns, np.array(one)) / len(xy)
+        np.testing.assert_allclose(along, 0.0, atol=5e-3)
+    np.testing.assert_allclose(columns[:, :, 0], math.sqrt(3.0) * np.column_stack([u, -v]))
+
+
+def test_the_size_of_a_displacement_that_nothing_is_known_of():
+    """The mean over eleven sizes, each half of the one before, with equal probability; without one there are none."""
+    field = ResidualField(2, 0.4)
+    assert field.rms_px == pytest.approx(0.4 * math.sqrt(np.mean(0.25 ** np.arange(11))))
+    assert (field.mean == 0.0).all()
+    none = ResidualField(2, 0.0)
+    assert (none.terms, none.rms_px) == (0, 0.0)
