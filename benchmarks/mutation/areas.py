@@ -214,6 +214,7 @@ AREAS = {
             "*/test_apparent*",
             "*/test_kernels",
             "*/test_interop",
+            "*/test_linalg",
             "*/test_public_objects",
             "*/test_sky_view",
         ),
