@@ -119,15 +119,15 @@ class Copy:
         return taken
 
 
-def sample(area: Area, count: int, seed: str) -> list[Fault]:
+def sample(area: Area, root: Path, count: int, seed: str) -> list[Fault]:
     """Faults of an area drawn at random without repetition."""
-    found = [fault for path in area.files(ROOT) for fault in faults_of(path, (ROOT / path).read_bytes())]
+    found = [fault for path in area.files(root) for fault in faults_of(path, (root / path).read_bytes())]
     return random.Random(seed).sample(found, min(count, len(found)))
 
 
-def named(area: Area, begin: str) -> list[Fault]:
+def named(area: Area, root: Path, begin: str) -> list[Fault]:
     """Faults of an area whose description begins with a text."""
-    found = [fault for path in area.files(ROOT) for fault in faults_of(path, (ROOT / path).read_bytes())]
+    found = [fault for path in area.files(root) for fault in faults_of(path, (root / path).read_bytes())]
     return [fault for fault in found if str(fault).startswith(begin)]
 
 
@@ -170,7 +170,7 @@ def measure(areas: Iterable[str], count: int, seed: str, begin: str | None, stat
         references = References(copy.folder, [path.relative_to(ROOT) for path in package_files()])
         for name in areas:
             area = AREAS[name]
-            faults = named(area, begin) if begin else sample(area, count, f"{seed} {name}")
+            faults = named(area, copy.folder, begin) if begin else sample(area, copy.folder, count, f"{seed} {name}")
             path = state / f"{name}.json"
             done = read_state(path) if path.exists() else State(name, seed, [])
             if done.seed != seed:
@@ -178,7 +178,7 @@ def measure(areas: Iterable[str], count: int, seed: str, begin: str | None, stat
             left = faults[len(done.outcomes) :]
             if not left:
                 continue
-            record, tests = copy.folder / f"{name}.calls", area.test_files(ROOT)
+            record, tests = copy.folder / f"{name}.calls", area.test_files(copy.folder)
             if not copy.passes(tests, 3600.0, record):
                 output = copy.output.read_text(encoding="utf-8", errors="replace")
                 raise SystemExit(f"the tests of {name} fail without a fault:\n{output[-2000:]}")

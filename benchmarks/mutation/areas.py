@@ -293,7 +293,7 @@ AREAS = {
             "*/test_few_stars",
             "unit/test_tracker_answers",
             "unit/test_solution*",
-            "unit/test_field_attitude",
+            "unit/test_field_attitude*",
             "unit/test_outliers",
             "unit/test_unexplained*",
             "unit/test_other_stars",
