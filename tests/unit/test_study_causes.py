@@ -113,6 +113,8 @@ def test_outcomes_in_words(wrong, misidentified, inconsistent, beyond, text, cou
     summary["inconsistency"] = {"beyond_limit": beyond} if inconsistent else None
     assert outcome_text(summary) == text
     assert outcome_counts_text(summary) == (counts or f"{wrong} wrong, {inconsistent} inconsistent")
-    assert outcome_text({"wrong": wrong, "misidentified": wrong}).startswith(
-        "none wrong" if not wrong else f"{wrong} wrong"
-    )
+
+
+def test_an_inconsistent_attitude_is_beyond_five_sigma():
+    """χ² of three components with the probability of a normal deviate beyond 5 σ on either side, 5.73e-7."""
+    assert chdtri(3, math.erfc(5.0 / math.sqrt(2.0))) == pytest.approx(INCONSISTENT_NEES, abs=1e-3)
