@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import chdtri
 
+from simulator.study.specification.measured import Measured, Setting
 from simulator.study.specification.outcome import (
     CENTROIDS,
     DISPLACED,
@@ -118,3 +119,23 @@ def test_outcomes_in_words(wrong, misidentified, inconsistent, beyond, text, cou
 def test_an_inconsistent_attitude_is_beyond_five_sigma():
     """χ² of three components with the probability of a normal deviate beyond 5 σ on either side, 5.73e-7."""
     assert chdtri(3, math.erfc(5.0 / math.sqrt(2.0))) == pytest.approx(INCONSISTENT_NEES, abs=1e-3)
+
+
+def test_frames_in_the_conditions_of_a_specification_count():
+    """Angles and rates at their limits count: from the exclusion angle on, and within a tenth of the rate."""
+    specification = Specification((), rate_deg_s=1.0, exclusion_deg=(("sun", 30.0), ("earth", 10.0)))
+    angles = {
+        "sun": np.array([30.0, 29.9, 40.0, 40.0, 40.0, 40.0, 40.0]),
+        "earth": np.array([90.0, 90.0, 10.0, 9.9, 90.0, 90.0, 90.0]),
+    }
+    rates = np.array([0.9, 1.0, 1.1, 1.0, 0.89, 1.11, 1.0])
+    status = np.array(["solved"] * 6 + ["no_match"], dtype=object)
+    columns = {"status": status, "rate_deg_s": rates}
+    found = Measured(columns, specification, Setting(angles_deg=angles))
+    assert found.counted.tolist() == [True, False, True, False, False, False, True]
+    assert found._solved.tolist() == [True, False, True, False, False, False, False]
+    # of a sequence the rate is that of the three axes together
+    axes = {f"true_rate_{axis}_deg_s": share * rates for axis, share in (("x", 0.6), ("y", 0.0), ("z", -0.8))}
+    assert Measured({"status": status, **axes}, specification, Setting(angles_deg=angles)).counted.sum() >= 1
+    assert Measured(columns, Specification(())).counted.all()
+    assert (found.unit, Measured(columns, specification, Setting(step_s=0.5)).unit) == ("trials", "independent frames")
