@@ -1,7 +1,8 @@
 """The areas of the code that has physics or algorithms, and the tests that shall notice a fault in each.
 
-Not among them: commands, pages, plots and servers, which other tests start as programs; the theses, of which every
-printed value is a test; the flight build and its integers, whose C is compared with recorded answers bit by bit.
+Not among them: commands, servers, and the pages and plots in folders of their own, which other tests start as programs;
+the theses, of which every printed value is a test; the flight build and its integers, whose C is compared with recorded
+answers bit by bit.
 """
 
 from __future__ import annotations
