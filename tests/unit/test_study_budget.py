@@ -265,29 +265,33 @@ def test_for_real():
 
 def test_the_table_and_the_file_have_the_same_numbers():
     """Arcseconds, and degrees; roots keep the sign of the square, and an interval has both ends or none."""
-    third = {"cross_x": 1.0, "cross_y": -4.0, "about_boresight": 0.25}
+    third = {"cross_x": 1e6, "cross_y": -4e6, "about_boresight": 0.25e6}
     squares = {axis: value / 3600.0**2 for axis, value in third.items()}
-    off = dict.fromkeys(third, 7.0 / 3600.0)
-    ends = {"cross_x": [-0.25 / 3600.0**2, 2.25 / 3600.0**2], "cross_y": [None, None], "about_boresight": [None, 1.0]}
+    off = dict.fromkeys(third, 7000.0 / 3600.0)
+    ends = {
+        "cross_x": [-0.25e6 / 3600.0**2, 2.25e6 / 3600.0**2],
+        "cross_y": [None, None],
+        "about_boresight": [None, 1.0],
+    }
     one = module.Contribution("one", "detector", off, squares, ends, 90, 91)
-    two = module.Contribution("two", "optics", off, dict.fromkeys(third, 9.0 / 3600.0**2), ends, 90, 91)
+    two = module.Contribution("two", "optics", off, dict.fromkeys(third, 9e6 / 3600.0**2), ends, 90, 91)
     found = module.Budget(
-        "name", 5, 100, 95, dict.fromkeys(third, 11.0 / 3600.0), {}, (one, two), (two,), one,
-        rms_with_outliers_deg=dict.fromkeys(third, 13.0 / 3600.0),
+        "name", 5, 100, 95, dict.fromkeys(third, 11000.0 / 3600.0), {}, (one, two), (two,), one,
+        rms_with_outliers_deg=dict.fromkeys(third, 13000.0 / 3600.0),
     )  # fmt: skip
     lines = found.table().splitlines()
     assert lines[0] == "Error budget of name: 100 trials, seed 5"
-    assert lines[3].split() == ["all", "effects", "on", *["11.000"] * 3]
+    assert lines[3].split() == ["all", "effects", "on", *["11000.000"] * 3]
     rows = [line.split() for line in lines if line.startswith(("  one", "  two"))]
     assert [row[0] for row in rows] == ["two", "one", "two"]  # the largest about the first axis comes first
-    assert rows[1] == ["one", "1.000", "(-0.500", "to", "1.500)", "-2.000", "0.500"]
-    assert any(line.split() == ["all", "effects", "off", *["7.000"] * 3] for line in lines)
-    assert any(line.split()[-3:] == ["13.000"] * 3 for line in lines)
+    assert rows[1] == ["one", "1000.000", "(-500.000", "to", "1500.000)", "-2000.000", "500.000"]
+    assert any(line.split() == ["all", "effects", "off", *["7000.000"] * 3] for line in lines)
+    assert any(line.split()[-3:] == ["13000.000"] * 3 for line in lines)
     assert "Interrupted" not in found.table()
     entry = found.to_dict()["effects"][0]
     assert (entry["name"], entry["class"], entry["trials"], entry["solved"]) == ("one", "detector", 90, 91)
-    assert entry["axes"]["cross_y"]["added_rms_deg"] == pytest.approx(-2.0 / 3600.0)
-    assert entry["axes"]["cross_x"]["added_rms_interval95_deg"] == pytest.approx([-0.5 / 3600.0, 1.5 / 3600.0])
+    assert entry["axes"]["cross_y"]["added_rms_deg"] == pytest.approx(-2000.0 / 3600.0)
+    assert entry["axes"]["cross_x"]["added_rms_interval95_deg"] == pytest.approx([-500.0 / 3600.0, 1500.0 / 3600.0])
     assert entry["axes"]["cross_y"]["added_rms_interval95_deg"] == [None, None]
-    assert entry["axes"]["about_boresight"]["rms_off_deg"] == pytest.approx(7.0 / 3600.0)
+    assert entry["axes"]["about_boresight"]["rms_off_deg"] == pytest.approx(7000.0 / 3600.0)
     assert found.to_dict()["remainder"] == entry
