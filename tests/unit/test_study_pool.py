@@ -1,5 +1,6 @@
 """Blocks of trials on the processes of a pool: what is submitted, what a stop drops, and workers that die."""
 
+import contextlib
 import threading
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -7,6 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
+import simulator.study.run as study_run
+from simulator.scenario import Scenario
 from simulator.study.trials import process_pool
 from simulator.study.trials.blocks import MAX_ATTEMPTS, Blocks
 from simulator.study.trials.process_pool import run_in_pool
@@ -103,3 +106,39 @@ def test_a_block_of_which_workers_die_again_and_again_ends_the_run(monkeypatch):
     with pytest.raises(BoresightError, match=f"died {MAX_ATTEMPTS} times with the same trials"):
         run(monkeypatch, pool, 30)
     assert pool.closed == MAX_ATTEMPTS
+
+
+@pytest.mark.parametrize(
+    ("finished", "interrupted", "standing", "force", "written"),
+    [
+        (5, False, 9, False, True),
+        (5, True, None, False, True),
+        (5, True, 4, False, True),
+        (5, True, 5, False, True),
+        (5, True, 6, False, False),
+        (5, True, 6, True, True),
+    ],
+)
+def test_an_interrupted_run_replaces_no_results_of_more_trials(
+    monkeypatch, tmp_path, finished, interrupted, standing, force, written
+):
+    """They are given back, and the folder is as it was."""
+    before = None if standing is None else SimpleNamespace(amounts={"trials": standing})
+    done = SimpleNamespace(finished=finished, interrupted=interrupted, table=None, store=SimpleNamespace(notes=[]))
+    for name, replacement in {
+        "results_folder": lambda folder, *_, **__: contextlib.nullcontext(folder),
+        "run_identity": lambda *_: None,
+        "run_trials": lambda *_, **__: done,
+        "standing": lambda folder, kind: before,
+        "_written": lambda *_: "written",
+        "_summary": lambda *_: {},
+        "Columns": lambda table: table,
+    }.items():
+        monkeypatch.setattr(study_run, name, replacement)
+    found = study_run.run(Scenario.load("cubesat_ideal"), out=tmp_path, force=force)
+    assert (found == "written") is written
+    if not written:
+        assert found.folder is None
+    done.finished = 0
+    with pytest.raises(BoresightError, match="no results"):
+        study_run.run(Scenario.load("cubesat_ideal"), out=tmp_path, force=force)
