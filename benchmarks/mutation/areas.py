@@ -237,7 +237,7 @@ AREAS = {
         ("*/test_detection*", "unit/test_points_and_trails", "unit/test_centroid_moments", "oracle/test_greyling_rec*"),
     ),
     "trails": Area(
-        ("startracker/trails/*.py", "startracker/detection/trailed.py"),
+        ("startracker/trails/*.py",),
         ("*/test_detection_streaks", "unit/test_points_and_trails", "unit/test_trail_model"),
     ),
     "centroid": Area(

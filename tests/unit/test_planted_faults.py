@@ -1,10 +1,13 @@
 """Faults that the mutation run plants: those that mean something, each at its position in the file."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 
+from benchmarks.mutation.__main__ import ROOT, State, known_equivalent, page, read_states
+from benchmarks.mutation.areas import AREAS
 from benchmarks.mutation.faults import faults_of
 from benchmarks.mutation.plan import Plan, Planner
 from benchmarks.mutation.references import References
@@ -119,3 +122,26 @@ def test_tests_of_a_fault_are_those_that_call_what_contains_it(tmp_path):
     assert plans["two.py", 12] == Plan(["test_a.py::x"], [], 10.5, files[1:])
     # no test calls it: those of files that import the module, as it may run in another process
     assert plans["two.py", 15] == Plan([], [], 10.5, files[1:])
+
+
+def test_the_page_counts_what_can_be_noticed(tmp_path):
+    """Faults that change nothing leave the share; areas that were not measured are named."""
+    same = next(iter(known_equivalent()))
+    state = State("fusion", "7", [("one", True), ("two", False), (same, False), ("four", True), ("five", True)])
+    (tmp_path / "fusion.json").write_text(json.dumps(dataclasses.asdict(state)), encoding="utf-8")
+    text = page(read_states(tmp_path))
+    assert "| fusion | 7 | 5 | 1 | 3 | 75 % | 30 to 95 % |" in text
+    assert "Not measured in these runs: mission, sky, optics, detector," in text
+    assert "- `two`" in text
+    assert f"- `{same}`: " in text
+    assert "- `one`" not in text
+
+
+def test_every_area_has_its_files_and_tests():
+    """No file belongs to two areas, and a known equivalent fault is of a file that one of them has."""
+    files = [path for area in AREAS.values() for path in area.files(ROOT)]
+    assert len(files) == len(set(files)) > 390
+    assert all(area.test_files(ROOT) for area in AREAS.values())
+    for fault, reason in known_equivalent().items():
+        assert Path(fault.partition(":")[0]) in files
+        assert reason
