@@ -246,11 +246,11 @@ def test_windows_reach_as_far_as_the_prediction_and_the_streak():
 
 
 @pytest.mark.parametrize("octant", range(8))
-@pytest.mark.parametrize("axis", [0.02, 0.6])
-def test_one_star_turns_an_uncertain_prediction_by_the_kalman_gain(octant, axis):
+@pytest.mark.parametrize(("x", "y"), [(0.02, 0.05), (0.6, 0.05), (1e-5, 0.6), (0.6, 1e-5), (0.6, 0.8 - 1e-11)])
+def test_one_star_turns_an_uncertain_prediction_by_the_kalman_gain(octant, x, y):
     """A prediction of 0.5° and a star of 0.2″ in any direction, as whole-sky cameras have them."""
     signs = [1.0 - 2.0 * (octant >> n & 1) for n in range(3)]
-    predicted = np.array(signs) * [axis, 0.05, math.sqrt(1.0 - axis**2 - 0.05**2)]
+    predicted = np.array(signs) * [x, y, math.sqrt(1.0 - x**2 - y**2)]
     covariance = np.diag([1.0, 2.0, 3.0]) * math.radians(0.5) ** 2
     across = np.cross(predicted, [0.3, -0.5, 0.8])
     seen = math.cos(1e-3) * predicted + math.sin(1e-3) * across / np.linalg.norm(across)
