@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from startracker.estimation.wahba import attitude_covariance
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import log_chance
@@ -261,3 +262,57 @@ def test_one_star_turns_an_uncertain_prediction_by_the_kalman_gain(octant, x, y)
     h = np.cross(predicted, np.eye(3)).T
     expected = covariance @ h.T @ np.linalg.pinv(h @ covariance @ h.T, rcond=1e-9) @ (seen - predicted)
     assert np.abs(turn - expected).max() < 3e-6
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (59, 0), (0, 39), (59, 39), (1, 20), (30, 1)])
+def test_windows_at_the_border_of_an_image(x, y):
+    """Rows and columns 0 and last belong to it; the noise is at least 1e-5 of the brightest central pixel."""
+    image = np.full((40, 60), 50.0, np.float32)
+    image[y, x] = 1050.0
+    half, columns = 4, 1
+    mosaic, level, noise = lay_out(image, np.array([x]), np.array([y]), half, columns, 1e-6)
+    gap = (cell_px(half) - 2 * half - 1) // 2
+    padded = np.full((40 + 2 * half, 60 + 2 * half), 50.0, np.float32)
+    padded[half:-half, half:-half] = image
+    np.testing.assert_array_equal(mosaic[gap : gap + 9, gap : gap + 9], padded[y : y + 9, x : x + 9])
+    assert (level == 50.0).all()
+    np.testing.assert_allclose(noise, 1e-5 * 1000.0, rtol=1e-6)
+    # of a centre outside the image, or not finite, nothing is known
+    image[y, x] = math.nan
+    _, _, noise = lay_out(image, np.array([x, -3]), np.array([y, 20]), half, 2, 1e-6)
+    np.testing.assert_allclose(noise, 1e-6, rtol=1e-6)
+
+
+def test_the_noise_of_a_window_is_at_least_most_of_the_common_one():
+    """0.7 of the median over all windows; a window without any pixel has neither level nor noise of its own."""
+    rng = np.random.default_rng(3)
+    image = rng.normal(100.0, 5.0, (60, 200)).astype(np.float32)
+    image[:, :40] = 100.0
+    x, y = np.array([20, 80, 120, 160, 500]), np.full(5, 30)
+    _, level, noise = lay_out(image, x, y, 6, 5, 0.1)
+    pitch = cell_px(6)
+    own = noise[0, ::pitch]
+    common = np.median([0.0, *own[1:4], 0.0])
+    np.testing.assert_allclose(own[[0, 4]], 0.7 * common, rtol=1e-5)
+    assert level[0, 4 * pitch] == 0.0
+    assert (own[1:4] > 3.0).all()
+
+
+def test_the_attitude_of_the_stars_alone_has_their_covariance(tracker):
+    """That of Wahba's problem with the measured errors; of two stars there is none."""
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0)
+    _, _, xy = tracker.guide.in_field(attitude.as_matrix())
+    xy = xy[CAMERA.contains(xy, -3.0)]
+    for count in (2, 3, 6):
+        session = TrackingSession(tracker)
+        session.reset(attitude, 0.01)
+        followed = session._follow_centroids(xy[:count], None, None)
+        assert len(followed.stars) == count
+        found = followed.star_attitude(CAMERA)
+        if count < 3:
+            assert found is None
+            continue
+        vectors = CAMERA.unproject(xy[:count])
+        expected = attitude_covariance(vectors, followed.seen.sigma_px[followed.stars] * CAMERA.pixel_rad)
+        np.testing.assert_allclose(found[1], expected, rtol=1e-6)
+        assert Attitude(found[0]).angle_to(attitude) < 1e-5
