@@ -265,3 +265,52 @@ def test_gyro_samples_that_cannot_be_are_ignored_with_a_remark():
     sample, remark = watched.sample([0.0, -1e6, 0.0])
     assert sample is None
     assert remark.startswith("the gyro sample is beyond ")
+
+
+@pytest.mark.parametrize("step_s", [0.25, 4.0])
+def test_a_restart_knows_the_rate_from_the_last_two_attitudes(step_s):
+    """Without a gyro the difference from the last solved attitude over the time bounds the rate; with one that from the
+    prediction bounds the bias; either is at least as uncertain as stated at first."""
+    covariance = np.eye(3) * 1e-14
+    for noise, stated in ((RateNoise(1e-6, 1e-3), 1e-3), (GyroNoise(1e-6, 1e-8, 1e-4, scale_sigma=0.0), 1e-4)):
+        for turn, expected in ((0.1, 0.1 / step_s), (1e-4 * step_s, stated)):
+            watched = WatchedFilter(noise, 1e-6)
+            innovation, restarted = watched.take_attitude(10.0, START, covariance)
+            assert innovation is None
+            assert restarted
+            moved = turned(START, np.array([0.0, turn, 0.0]))
+            watched.mekf = Mekf(START, covariance, noise)  # a prediction that is certain, so that the gate is narrow
+            watched.mekf.reset(START, covariance, second_sigma_rad_s=0.0)
+            innovation, restarted = watched.take_attitude(10.0 + step_s, moved, covariance)
+            assert restarted
+            assert not innovation.accepted
+            second = np.sqrt(watched.mekf.covariance.diagonal()[3:])
+            np.testing.assert_allclose(second, expected, rtol=1e-6)
+            assert watched.mekf.attitude.angle_to(moved) < 1e-12
+            assert watched.mekf.noise_factor == 10.0  # within a window of frames it is an alarm
+    unsolved = WatchedFilter(RateNoise(1e-6, 1e-3), 1e-6)
+    unsolved.begin(START, covariance)
+    unsolved.take_attitude(1.0, turned(START, np.array([0.0, 0.1, 0.0])), covariance)
+    np.testing.assert_allclose(np.sqrt(unsolved.mekf.covariance.diagonal()[3:]), 1e-3)
+
+
+def test_contradictions_reduce_the_confidence_in_the_prediction():
+    """Two attitudes that are each within the gate, and together beyond what a consistent filter gives: the second is
+    weighed ten times as much, and the noise is raised."""
+    watched = WatchedFilter(RateNoise(0.0, 0.0), 1e-6)
+    covariance = np.eye(3) * 1e-10
+    watched.begin(START, covariance)
+    off = turned(START, np.array([4.5e-5 * math.sqrt(2.0), 0.0, 0.0]))  # 4.5 standard deviations of the innovation
+    innovation, restarted = watched.take_attitude(1.0, off, covariance)
+    assert innovation.accepted
+    assert not restarted
+    assert not watched.distrusted
+    before = watched.mekf.attitude
+    again = turned(before, np.array([4.5e-5 * math.sqrt(1.5), 0.0, 0.0]))
+    innovation, restarted = watched.take_attitude(2.0, again, covariance)
+    assert not restarted
+    assert watched.distrusted
+    assert watched.mekf.noise_factor == 10.0 - 9.0 / 256.0
+    # variance of the prediction 5e-11, ten times as large: 5 parts of 6 of the difference are taken
+    taken = before.angle_to(watched.mekf.attitude) / before.angle_to(again)
+    assert taken == pytest.approx(5.0 / 6.0, rel=1e-3)
