@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -146,6 +146,9 @@ def main() -> None:
     parser.add_argument("--fault", metavar="TEXT", help="instead of a sample, those whose description begins so")
     parser.add_argument("--state", type=Path, help="folder with the outcomes so far: a run continues where it ended")
     parser.add_argument("--report", action="store_true", help="only the page, from the outcomes of all runs in --state")
+    parser.add_argument(
+        "--before", type=Path, help="folder as --state, of an earlier sample, for comparison on the page"
+    )
     parser.add_argument("--out", type=Path, help="page to write, Markdown")
     given = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -157,7 +160,7 @@ def main() -> None:
                 measure(given.area or list(AREAS), given.faults, given.seed, given.fault, folder)
         except KeyboardInterrupt:
             print("interrupted; the faults so far:")
-        text = page(read_states(folder))
+        text = page(read_states(folder), read_states(given.before) if given.before else [])
     if given.out:
         given.out.write_text(text, encoding="utf-8")
     print(text)
@@ -214,10 +217,11 @@ def read_states(folder: Path) -> list[State]:
     return [read_state(folder / f"{name}.json") for name in AREAS if (folder / f"{name}.json").exists()]
 
 
-def page(states: list[State]) -> str:
-    """The result as Markdown."""
+def page(states: list[State], before: list[State]) -> str:
+    """The result as Markdown, beside that of earlier samples."""
     equivalent = known_equivalent()
     day = datetime.datetime.now(datetime.UTC).date()
+    earlier = {state.area: state for state in before}
     lines = [
         "# Planted faults",
         "",
@@ -225,26 +229,48 @@ def page(states: list[State]) -> str:
         "drawn at random from all that an area has; a fault is noticed if a test of the area fails. Faults that change",
         "nothing which a user can observe do not count. The last column is the 95 % confidence interval of the share.",
         "",
-        "| area | seed | faults | equivalent | noticed | share | 95 % |",
-        "|---|---|---|---|---|---|---|",
+    ]
+    if before:
+        lines += [
+            "The share before is that of an earlier sample, whose faults led to new tests; the second one has new faults.",
+            "A sample without one is the first: it shows an area before the tests that its faults led to.",
+            "",
+        ]
+    lines += [
+        f"| area | {'before | ' if before else ''}seed | faults | equivalent | noticed | share | 95 % |",
+        f"|---|{'---|' if before else ''}---|---|---|---|---|---|",
     ]
     missed, same = [], []
     for state in states:
         unnoticed = [fault for fault, noticed in state.outcomes if not noticed]
         missed += [f"- `{fault}`" for fault in unnoticed if fault not in equivalent]
         same += [f"- `{fault}`: {equivalent[fault]}" for fault in unnoticed if fault in equivalent]
-        noticed = len(state.outcomes) - len(unnoticed)
-        counted = noticed + sum(fault not in equivalent for fault in unnoticed)
+        noticed, counted = counts(state, equivalent)
         low, high = wilson_interval(noticed, max(counted, 1))
+        old = ""
+        if before:
+            was = earlier.get(state.area)
+            old = f"{_share(*counts(was, equivalent))} | " if was and was.seed != state.seed else " | "
+        total = len(state.outcomes)
         lines.append(
-            f"| {state.area} | {state.seed} | {len(state.outcomes)} | {len(state.outcomes) - counted} | {noticed} | "
-            f"{100 * noticed / max(counted, 1):.0f} % | {100 * low:.0f} to {100 * high:.0f} % |"
+            f"| {state.area} | {old}{state.seed} | {total} | {total - counted} | {noticed} | {_share(noticed, counted)} | "
+            f"{100 * low:.0f} to {100 * high:.0f} % |"
         )
     left_out = [name for name in AREAS if name not in {state.area for state in states}]
     lines += ["", f"Not measured in these runs: {', '.join(left_out)}."] if left_out else []
     lines += ["", "Not noticed:", "", *(missed or ["none"])]
     lines += ["", "Equivalent, with the reason:", "", *same] if same else []
     return "\n".join(lines) + "\n"
+
+
+def counts(state: State, equivalent: Container[str]) -> tuple[int, int]:
+    """Faults that were noticed, and those that can be."""
+    noticed = sum(found for _, found in state.outcomes)
+    return noticed, noticed + sum(not found and fault not in equivalent for fault, found in state.outcomes)
+
+
+def _share(noticed: int, counted: int) -> str:
+    return f"{100 * noticed / max(counted, 1):.0f} %"
 
 
 if __name__ == "__main__":

@@ -61,6 +61,7 @@ def status(*records, noise=GYRO, **changes):
         ((USED, USED._replace(motion=MOVED._replace(resolved=False))), "heads_disagree", ("consistent", "moving")),
         ((USED, USED._replace(step=MOVED._replace(resolved=False))), "heads_disagree", ("consistent", "moved")),
         ((USED, USED._replace(motion=MOVED._replace(until_s=NOW_S))), "head_flagged", ("consistent", "moving")),
+        ((USED, USED._replace(motion=Shift(1.0, False, NOW_S))), "heads_disagree", ("consistent", "moving")),
         ((USED, USED._replace(motion=Shift(1.0, False, NOW_S - 1.0))), "consistent", ("consistent", "consistent")),
         ((USED, USED._replace(noise=2.24)), "consistent", ("consistent", "consistent")),
         ((USED, USED._replace(noise=2.26)), "head_flagged", ("consistent", "noisy")),

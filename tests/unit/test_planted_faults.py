@@ -129,7 +129,10 @@ def test_the_page_counts_what_can_be_noticed(tmp_path):
     same = next(iter(known_equivalent()))
     state = State("fusion", "7", [("one", True), ("two", False), (same, False), ("four", True), ("five", True)])
     (tmp_path / "fusion.json").write_text(json.dumps(dataclasses.asdict(state)), encoding="utf-8")
-    text = page(read_states(tmp_path))
+    before = State("fusion", "6", [("one", True), ("two", False), (same, False)])
+    assert "| fusion | 50 % | 7 | 5 | 1 | 3 | 75 % | 30 to 95 % |" in page([state], [before])
+    assert "| fusion |  | 7 | 5 | 1 | 3 | 75 % | 30 to 95 % |" in page([state], [state])
+    text = page(read_states(tmp_path), [])
     assert "| fusion | 7 | 5 | 1 | 3 | 75 % | 30 to 95 % |" in text
     assert "Not measured in these runs: mission, sky, optics, detector," in text
     assert "- `two`" in text
