@@ -232,7 +232,7 @@ def page(states: list[State], before: list[State]) -> str:
     ]
     if before:
         lines += [
-            "The share before is that of an earlier sample, whose faults led to new tests; the second one has new faults.",
+            "The share before is that of an earlier sample, whose faults led to new tests; the second has new faults.",
             "A sample without one is the first: it shows an area before the tests that its faults led to.",
             "",
         ]
@@ -252,10 +252,9 @@ def page(states: list[State], before: list[State]) -> str:
             was = earlier.get(state.area)
             old = f"{_share(*counts(was, equivalent))} | " if was and was.seed != state.seed else " | "
         total = len(state.outcomes)
-        lines.append(
-            f"| {state.area} | {old}{state.seed} | {total} | {total - counted} | {noticed} | {_share(noticed, counted)} | "
-            f"{100 * low:.0f} to {100 * high:.0f} % |"
-        )
+        interval = f"{100 * low:.0f} to {100 * high:.0f} %"
+        row = f"{state.seed} | {total} | {total - counted} | {noticed} | {_share(noticed, counted)} | {interval}"
+        lines.append(f"| {state.area} | {old}{row} |")
     left_out = [name for name in AREAS if name not in {state.area for state in states}]
     lines += ["", f"Not measured in these runs: {', '.join(left_out)}."] if left_out else []
     lines += ["", "Not noticed:", "", *(missed or ["none"])]
