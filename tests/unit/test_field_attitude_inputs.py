@@ -7,7 +7,10 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker
 from startracker.errors import InputError
+from startracker.estimation.directions import fit_pairs
+from startracker.estimation.wahba import fit_rotation
 from startracker.given_centroids import SAME_STAR_PX, clean_centroids, stated_variance, usable_centroids
+from startracker.refine import _first_fit
 from startracker.seen_stars import EXTRA_SIGMA, Displaced, seen_stars
 
 CAMERA = Camera.from_fov(12.0, 100, 80)
@@ -125,3 +128,21 @@ def test_displacements_of_stars_are_derivatives_of_their_pixels(rolls, moves, sc
     assert EXTRA_SIGMA[displaced].shape == (len(expected),)
     for k, column in enumerate(expected):
         np.testing.assert_allclose(extra[:, :, k], column, rtol=1e-6, atol=1e-9)
+
+
+def test_a_first_attitude_that_does_not_converge_is_the_best_rotation():
+    """Newton's step from two stars of a pattern that does not match is too long; Markley's rotation needs no start."""
+    rng = np.random.default_rng(6)
+    seen, known = (
+        directions / np.linalg.norm(directions, axis=1)[:, None] for directions in rng.normal(size=(2, 5, 3))
+    )
+    pairs, sigma = np.column_stack([np.arange(5), np.arange(5)]), rng.uniform(0.5, 2.0, 5)
+    matrix, reference = fit_pairs(pairs, seen, known, sigma, np.zeros((3, 3)))
+    assert math.isnan(matrix[0, 0])
+    found, again = _first_fit(pairs, seen, known, sigma, np.zeros((3, 3)))
+    np.testing.assert_array_equal(again, reference)
+    np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(found, fit_rotation(seen, known, sigma**-2.0), atol=1e-12)
+    turn = Attitude.from_rotation_vector([0.1, -0.2, 0.3], "icrs", "camera").as_matrix()
+    near, _ = _first_fit(pairs, known @ turn.T, known, sigma, np.zeros((3, 3)))
+    np.testing.assert_allclose(near, turn, atol=1e-9)
