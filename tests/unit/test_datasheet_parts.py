@@ -15,7 +15,7 @@ from simulator.study.datasheet import sky
 from simulator.study.datasheet.accuracy import _against_bound, _classes, _noise_levels, _whole
 from simulator.study.datasheet.classes import CLASSES, separate
 from simulator.study.datasheet.dependence import residuals, robustness, temperature
-from simulator.study.datasheet.frames import BOUND_EVERY, DatasheetFrames
+from simulator.study.datasheet.frames import BOUND_EVERY, DatasheetFrames, _border_distances_px
 from simulator.study.datasheet.performance import acquisition, exclusion, rates, tracking
 from simulator.study.datasheet.scan import PASSES, scan_geometry
 from simulator.study.datasheet.sheet import LEVELS, Amounts, Estimate, Quantity, select
@@ -432,3 +432,12 @@ def test_interruptions_divide_the_sequence_evenly():
     assert asked[0] == [(pytest.approx(20.0, abs=step_s), 1.0), (pytest.approx(40.0, abs=step_s), 5.0)]
     recovery = found["recovery_time"].estimate
     assert (recovery.low, recovery.high) == (pytest.approx(step_s), pytest.approx(3.0 * step_s))
+
+
+def test_distances_from_the_border_are_to_the_outer_edges_of_its_pixels():
+    """An image of 80 rows and 100 columns ends at −0.5, 99.5 and 79.5."""
+    xy = np.array([[0.0, 40.0], [99.0, 40.0], [50.0, 78.0], [50.0, -1.5], [60.0, 40.0]])
+    sources = SimpleNamespace(image_xy=xy, id=np.array([7, 8, 9, 10, 11]))
+    found = _border_distances_px(SimpleNamespace(sources=sources), np.array([0, 1, 2, 3, 4]), (80, 100))
+    assert found == {7: 0.5, 8: 0.5, 9: 1.5, 10: -1.0, 11: 39.5}
+    assert list(_border_distances_px(SimpleNamespace(sources=sources), np.array([4]), (80, 100))) == [11]
