@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import ast
 import contextlib
+import dataclasses
 import datetime
+import json
 import os
 import random
-import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.mutation.areas import AREAS, Area
 from benchmarks.mutation.faults import Fault, faults_of
+from benchmarks.mutation.plan import Plan, Planner
+from benchmarks.mutation.recording import VARIABLE
+from benchmarks.mutation.references import References
 from simulator.study.statistics import wilson_interval
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,14 +31,15 @@ KNOWN_EQUIVALENT = Path(__file__).with_name("equivalent.txt")
 _PACKAGES = ("simulator", "startracker")
 _SLOWER = 4.0
 """A fault whose tests take this many times longer is noticed: it is an endless loop."""
-NOTICED, UNNOTICED, EQUIVALENT = "noticed", "unnoticed", "equivalent"
+_PASSED, _NOT_FOUND = 0, 4
+"""Exit statuses of pytest."""
 
 
 class Copy:
     """A copy of the checkout in which faults are planted, with the caches of the kernels."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder, self.output = folder, folder / "tests.log"
         listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True)
         for name in filter(None, listed.stdout.split("\0")):
             if (ROOT / name).is_file():
@@ -46,91 +50,85 @@ class Copy:
                 target = folder / path.relative_to(ROOT)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(path, target)
-        self._users = users_of_modules(folder)
 
-    def passes(self, tests: Iterable[str], limit_s: float) -> bool:
-        """Whether the tests pass within a time; tests that are killed, by the system or by a crash, do not."""
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *tests]
-        environment = {"PYTHONPATH": str(self.folder), "PATH": "/usr/bin:/bin", "HOME": str(self.folder)}
-        # a session of its own, so that programs which the tests started end with them, and Ctrl-C reaches only this one
-        with subprocess.Popen(
-            command,
-            cwd=self.folder,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        ) as tests_running:
-            try:
-                return tests_running.wait(limit_s) == 0
-            except subprocess.TimeoutExpired:
-                return False
-            finally:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(tests_running.pid, signal.SIGKILL)
+    def passes(self, tests: Iterable[str], limit_s: float, record: Path | None = None) -> bool:
+        """Whether the tests pass within a time; tests that are killed, by the system or by a crash, do not.
 
-    def notices(self, fault: Fault, tests: Iterable[str], limit_s: float) -> bool:
+        With `record`, the functions that they call are written to that file.
+        """
+        return self._status(tests, limit_s, record) == _PASSED
+
+    def notices(self, fault: Fault, plan: Plan) -> bool:
         """Whether the tests fail with a fault; the copy is as before afterwards."""
         path = self.folder / fault.path
-        kept = self._take_caches(fault.path)
+        kept = self._take_caches(plan.stale)
         source = path.read_bytes()
         times = path.stat()
+        limit_s = 60.0 + _SLOWER * plan.seconds
         try:
             path.write_bytes(fault.planted(source))
-            return not self.passes(tests, limit_s)
+            status = self._status(plan.first, limit_s) if plan.first else _PASSED
+            if status == _NOT_FOUND:  # a test is no longer there, or its file cannot be imported
+                status = self._status(dict.fromkeys(name.partition("::")[0] for name in plan.first), limit_s)
+            if status == _PASSED and plan.then:
+                status = self._status(plan.then, limit_s)
+            return status != _PASSED
         finally:
             path.write_bytes(source)
             # numba compares the time of the file with that in the cache
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
-            for users in [path, *self._users_of(fault.path)]:
-                for cache in users.parent.glob(f"__pycache__/{users.stem}.*.nb[ic]"):
-                    cache.unlink()
+            self._take_caches(plan.stale)
             for cache, text in kept.items():
                 cache.write_bytes(text)
 
-    def _users_of(self, path: Path) -> list[Path]:
-        return [self.folder / user for user in self._users.get(path, ())]
+    def _status(self, tests: Iterable[str], limit_s: float, record: Path | None = None) -> int | None:
+        """Exit status of pytest, or none if it did not end."""
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:xdist", "-p", "no:cacheprovider", *tests]
+        environment = {"PYTHONPATH": str(self.folder), "PATH": "/usr/bin:/bin", "HOME": str(self.folder)}
+        environment["OPENBLAS_NUM_THREADS"] = "1"
+        if record is not None:
+            command[4:4] = ["-p", "benchmarks.mutation.recording"]
+            environment[VARIABLE] = str(record)
+        # a session of its own, so that programs which the tests started end with them, and Ctrl-C reaches only this one
+        with (
+            open(self.output, "wb") as output,
+            subprocess.Popen(
+                command,
+                cwd=self.folder,
+                env=environment,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            ) as tests_running,
+        ):
+            try:
+                return tests_running.wait(limit_s)
+            except subprocess.TimeoutExpired:
+                return None
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(tests_running.pid, signal.SIGKILL)
 
-    def _take_caches(self, path: Path) -> dict[Path, bytes]:
-        """Caches of a module's kernels and of those that call them, which numba would not compile again."""
-        kept = {}
-        for user in [self.folder / path, *self._users_of(path)]:
-            for cache in user.parent.glob(f"__pycache__/{user.stem}.*.nb[ic]"):
-                kept[cache] = cache.read_bytes()
+    def _take_caches(self, files: Iterable[Path]) -> dict[Path, bytes]:
+        """Remove the machine code of files, which numba would not compile again, and return it."""
+        taken = {}
+        for path in (self.folder / file for file in files):
+            for cache in path.parent.glob(f"__pycache__/{path.stem}.*.nb[ic]"):
+                taken[cache] = cache.read_bytes()
                 cache.unlink()
-        return kept
+        return taken
 
 
-def users_of_modules(root: Path) -> dict[Path, list[Path]]:
-    """Files that import each file of the packages, directly or through others, relative to `root`."""
-    files = [path.relative_to(root) for package in _PACKAGES for path in (root / package).rglob("*.py")]
-    module = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): path for path in files}
-    direct: dict[Path, set[Path]] = {path: set() for path in files}
-    for path in files:
-        for node in ast.walk(ast.parse((root / path).read_bytes())):
-            names = []
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-            elif isinstance(node, ast.Import):
-                names = [alias.name for alias in node.names]
-            for name in names:
-                if name in module:
-                    direct[module[name]].add(path)
-    found = {}
-    for path in files:
-        reached, left = set(), [path]
-        while left:
-            for user in direct[left.pop()] - reached:
-                reached.add(user)
-                left.append(user)
-        found[path] = sorted(reached)
-    return found
-
-
-def sample(area: Area, count: int, seed: str) -> list[Fault]:
+def sample(area: Area, root: Path, count: int, seed: str) -> list[Fault]:
     """Faults of an area drawn at random without repetition."""
-    found = [fault for path in area.files(ROOT) for fault in faults_of(path, (ROOT / path).read_bytes())]
+    found = [fault for path in area.files(root) for fault in faults_of(path, (root / path).read_bytes())]
     return random.Random(seed).sample(found, min(count, len(found)))
+
+
+def named(area: Area, root: Path, begin: str) -> list[Fault]:
+    """Faults of an area whose description begins with a text."""
+    found = [fault for path in area.files(root) for fault in faults_of(path, (root / path).read_bytes())]
+    return [fault for fault in found if str(fault).startswith(begin)]
 
 
 def known_equivalent() -> dict[str, str]:
@@ -145,84 +143,133 @@ def main() -> None:
     parser.add_argument("--area", action="append", choices=AREAS, help="only this area; may be repeated")
     parser.add_argument("--faults", type=int, default=20, help="faults of each area")
     parser.add_argument("--seed", default="1", help="of the choice of faults")
+    parser.add_argument("--fault", metavar="TEXT", help="instead of a sample, those whose description begins so")
+    parser.add_argument("--state", type=Path, help="folder with the outcomes so far: a run continues where it ended")
+    parser.add_argument("--report", action="store_true", help="only the page, from the outcomes of all runs in --state")
+    parser.add_argument(
+        "--before", type=Path, help="folder as --state, of an earlier sample, for comparison on the page"
+    )
     parser.add_argument("--out", type=Path, help="page to write, Markdown")
     given = parser.parse_args()
-    equivalent = known_equivalent()
-    results: dict[str, list[tuple[Fault, str]]] = {}
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        measure(given.area or list(AREAS), given.faults, given.seed, results)
-    except KeyboardInterrupt:
-        print("interrupted; the faults so far:")
-    text = page(results, given.seed, equivalent)
+    with contextlib.ExitStack() as stack:
+        folder = given.state or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            if not given.report:
+                measure(given.area or list(AREAS), given.faults, given.seed, given.fault, folder)
+        except KeyboardInterrupt:
+            print("interrupted; the faults so far:")
+        text = page(read_states(folder), read_states(given.before) if given.before else [])
     if given.out:
         given.out.write_text(text, encoding="utf-8")
     print(text)
 
 
-def measure(areas: Iterable[str], count: int, seed: str, results: dict[str, list[tuple[Fault, str]]]) -> None:
-    """Plant faults of each area, and add the outcomes to `results`, which has those so far if this is interrupted."""
-    equivalent = known_equivalent()
+def measure(areas: Iterable[str], count: int, seed: str, begin: str | None, state: Path) -> None:
+    """Plant faults of each area, and add the outcomes to its file in the folder `state`."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
+        references = References(copy.folder, [path.relative_to(ROOT) for path in package_files()])
         for name in areas:
-            tests = AREAS[name].test_files(ROOT)
-            began = time.perf_counter()
-            if not copy.passes(tests, 3600.0):
-                raise SystemExit(f"the tests of {name} fail without a fault: {' '.join(tests)}")
-            limit_s = 60.0 + _SLOWER * (time.perf_counter() - began)
-            results[name] = []
-            for fault in sample(AREAS[name], count, f"{seed} {name}"):
-                noticed = copy.notices(fault, nearest_first(tests, fault), limit_s)
-                outcome = NOTICED if noticed else EQUIVALENT if str(fault) in equivalent else UNNOTICED
-                results[name].append((fault, outcome))
-                print(f"{name}: {outcome}: {fault}", flush=True)
+            area = AREAS[name]
+            faults = named(area, copy.folder, begin) if begin else sample(area, copy.folder, count, f"{seed} {name}")
+            path = state / f"{name}.json"
+            done = read_state(path) if path.exists() else State(name, seed, [])
+            if done.seed != seed:
+                raise SystemExit(f"{path} has the faults of seed {done.seed}")
+            left = faults[len(done.outcomes) :]
+            if not left:
+                continue
+            record, tests = copy.folder / f"{name}.calls", area.test_files(copy.folder)
+            if not copy.passes(tests, 3600.0, record):
+                output = copy.output.read_text(encoding="utf-8", errors="replace")
+                raise SystemExit(f"the tests of {name} fail without a fault:\n{output[-2000:]}")
+            planner = Planner(copy.folder, references, record)
+            for fault in left:
+                noticed = copy.notices(fault, planner.plan(fault))
+                done.outcomes.append((str(fault), noticed))
+                path.write_text(json.dumps(dataclasses.asdict(done), ensure_ascii=False, indent=0), encoding="utf-8")
+                print(f"{name}: {'noticed' if noticed else 'UNNOTICED'}: {fault}", flush=True)
 
 
-def nearest_first(tests: Iterable[str], fault: Fault) -> list[str]:
-    """Files of tests of an area and all others that import the module of a fault, these first: the run of a fault ends
-    at the first failure."""
-    package, name = ".".join(fault.path.parent.parts), fault.path.stem
-    imported = re.compile(rf"\b{re.escape(package)}(\.{name}\b| import .*\b{name}\b)")
-    near = [path for path in sorted(ROOT.glob("tests/*/test_*.py")) if imported.search(path.read_text("utf-8"))]
-    return list(dict.fromkeys([*(str(path.relative_to(ROOT)) for path in near), *tests]))
+def package_files() -> list[Path]:
+    """Python files of the packages."""
+    return sorted(path for package in _PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 
-def page(results: dict[str, list[tuple[Fault, str]]], seed: str, equivalent: dict[str, str]) -> str:
-    """The result as Markdown."""
+@dataclass
+class State:
+    """Outcomes of an area so far: each fault, and whether it was noticed."""
+
+    area: str
+    seed: str
+    outcomes: list[tuple[str, bool]]
+
+
+def read_state(path: Path) -> State:
+    """The outcomes in a file."""
+    return State(**json.loads(path.read_text(encoding="utf-8")))
+
+
+def read_states(folder: Path) -> list[State]:
+    """The outcomes of all areas in a folder, in the order of `AREAS`."""
+    return [read_state(folder / f"{name}.json") for name in AREAS if (folder / f"{name}.json").exists()]
+
+
+def page(states: list[State], before: list[State]) -> str:
+    """The result as Markdown, beside that of earlier samples."""
+    equivalent = known_equivalent()
     day = datetime.datetime.now(datetime.UTC).date()
-    introduction = (
-        f"`python -m benchmarks.mutation --seed {seed}`, {day}. One operator, constant or term of a guard is changed "
-        "at a time, drawn at random from all that an area has; the area's tests run, and all others that import the "
-        "changed module. "
-        "Faults that change nothing a user can observe do not count."
-    )
+    earlier = {state.area: state for state in before}
     lines = [
         "# Planted faults",
         "",
-        introduction,
+        f"`python -m benchmarks.mutation`, {day}. One operator, constant or term of a guard is changed at a time,",
+        "drawn at random from all that an area has; a fault is noticed if a test of the area fails. Faults that change",
+        "nothing which a user can observe do not count. The last column is the 95 % confidence interval of the share.",
         "",
-        "| area | faults | equivalent | noticed | share | 95 % |",
-        "|---|---|---|---|---|---|",
     ]
-    for name, rows in results.items():
-        outcomes = [outcome for _, outcome in rows]
-        noticed, counted = outcomes.count(NOTICED), len(rows) - outcomes.count(EQUIVALENT)
+    if before:
+        lines += [
+            "The share before is that of an earlier sample, whose faults led to new tests; the second has new faults.",
+            "A sample without one is the first: it shows an area before the tests that its faults led to.",
+            "",
+        ]
+    lines += [
+        f"| area | {'before | ' if before else ''}seed | faults | equivalent | noticed | share | 95 % |",
+        f"|---|{'---|' if before else ''}---|---|---|---|---|---|",
+    ]
+    missed, same = [], []
+    for state in states:
+        unnoticed = [fault for fault, noticed in state.outcomes if not noticed]
+        missed += [f"- `{fault}`" for fault in unnoticed if fault not in equivalent]
+        same += [f"- `{fault}`: {equivalent[fault]}" for fault in unnoticed if fault in equivalent]
+        noticed, counted = counts(state, equivalent)
         low, high = wilson_interval(noticed, max(counted, 1))
-        lines.append(
-            f"| {name} | {len(rows)} | {outcomes.count(EQUIVALENT)} | {noticed} | "
-            f"{100 * noticed / max(counted, 1):.0f} % | {100 * low:.0f} to {100 * high:.0f} % |"
-        )
-    unnoticed = [f"- `{fault}`" for rows in results.values() for fault, outcome in rows if outcome == UNNOTICED]
-    same = [
-        f"- `{fault}`: {equivalent[str(fault)]}"
-        for rows in results.values()
-        for fault, outcome in rows
-        if outcome == EQUIVALENT
-    ]
-    lines += ["", "Not noticed:", "", *(unnoticed or ["none"])]
+        old = ""
+        if before:
+            was = earlier.get(state.area)
+            old = f"{_share(*counts(was, equivalent))} | " if was and was.seed != state.seed else " | "
+        total = len(state.outcomes)
+        interval = f"{100 * low:.0f} to {100 * high:.0f} %"
+        row = f"{state.seed} | {total} | {total - counted} | {noticed} | {_share(noticed, counted)} | {interval}"
+        lines.append(f"| {state.area} | {old}{row} |")
+    left_out = [name for name in AREAS if name not in {state.area for state in states}]
+    lines += ["", f"Not measured in these runs: {', '.join(left_out)}."] if left_out else []
+    lines += ["", "Not noticed:", "", *(missed or ["none"])]
     lines += ["", "Equivalent, with the reason:", "", *same] if same else []
     return "\n".join(lines) + "\n"
+
+
+def counts(state: State, equivalent: Container[str]) -> tuple[int, int]:
+    """Faults that were noticed, and those that can be."""
+    noticed = sum(found for _, found in state.outcomes)
+    return noticed, noticed + sum(not found and fault not in equivalent for fault, found in state.outcomes)
+
+
+def _share(noticed: int, counted: int) -> str:
+    return f"{100 * noticed / max(counted, 1):.0f} %"
 
 
 if __name__ == "__main__":

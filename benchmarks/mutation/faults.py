@@ -103,6 +103,8 @@ class _Roles:
         a single time is the mistake that matters."""
         self.guards: set[ast.expr] = set()
         """Guards against rounding: a tenth more changes nothing by design."""
+        self.decimals = set(_names_of_decimals(tree))
+        """Names of constants of the module that are decimal numbers."""
         for node in ast.walk(tree):
             match node:
                 case ast.Subscript(slice=ast.Tuple(elts=parts)):
@@ -133,8 +135,20 @@ def _is_rounding(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, float) and abs(node.value) <= _ROUNDING
 
 
-def _is_decimal(node: ast.expr) -> bool:
+def _names_of_decimals(tree: ast.AST) -> Iterator[str]:
+    for node in ast.iter_child_nodes(tree):
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=value) if _is_decimal(value, set()):
+                yield name
+            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
+                pairs = zip(names, values, strict=False)
+                yield from (n.id for n, v in pairs if isinstance(n, ast.Name) and _is_decimal(v, set()))
+
+
+def _is_decimal(node: ast.expr, names: set[str]) -> bool:
     value = node.operand if isinstance(node, ast.UnaryOp) else node
+    if isinstance(value, ast.Name):
+        return value.id in names
     return isinstance(value, ast.Constant) and isinstance(value.value, float) and value.value != 0.0
 
 
@@ -164,7 +178,7 @@ def _changes(node: ast.expr, roles: _Roles) -> Iterator[ast.expr]:
             changed = copy.deepcopy(node)
             # next to no value is exactly a decimal number other than zero: whether the bound itself belongs to the
             # range cannot be observed there, on which side the range lies can
-            decimal = type(operator) in _REVERSED and (_is_decimal(left) or _is_decimal(right))
+            decimal = type(operator) in _REVERSED and any(_is_decimal(side, roles.decimals) for side in (left, right))
             changed.ops = [(_REVERSED if decimal else _COMPARISONS)[type(operator)]]
             yield changed
         case ast.BoolOp(op=operator, values=values):

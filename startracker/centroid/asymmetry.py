@@ -18,6 +18,7 @@ by g(c) of it, with g = 1 for faint stars and 0 at the reference.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
@@ -33,7 +34,6 @@ from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.records import changed
 
 _Star: TypeAlias = tuple[float, float, float]
 """Position, px, and flux, DN."""
@@ -239,7 +239,7 @@ def reference_psf(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolA
         if half == before:
             break
     ellipse = gaussian_psf(xx, yy, xy, radius_px=max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0))
-    return changed(ellipse, width_error=errors)
+    return replace(ellipse, width_error=errors)
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,7 +18,6 @@ from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
-from startracker.records import changed
 
 Shape: TypeAlias = tuple[float, float, float]
 
@@ -316,7 +316,7 @@ def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float
     radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
     ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
     if math.isfinite(errors[0] + errors[1]):
-        ellipse = changed(ellipse, width_error=errors)
+        ellipse = replace(ellipse, width_error=errors)
     minor, major = middle - spread, middle + spread
     if major < _STREAK_RATIO**2 * minor or math.isnan(found[0]):
         return ellipse

@@ -16,6 +16,7 @@ from simulator.study.intervals import (
     LARGE,
     _binomial_quantile,
     _central_chi_square,
+    effective_number,
     mean_chi_square_bounds,
     moment_intervals,
     percentile_interval,
@@ -159,3 +160,43 @@ def test_quantiles_are_those_of_scipy_stats():
                 assert _binomial_quantile(q, trials, p) == max(0, stats.binom.ppf(q, trials, p))
     for freedom in (0.4, 3.0, 1500.0, 3e6):
         np.testing.assert_allclose(_central_chi_square(freedom), stats.chi2.ppf([0.025, 0.975], freedom), rtol=1e-12)
+
+
+def initial_positive_sequence(values):
+    """Geyer's estimate from sums over the lags, term by term."""
+    n, centred = len(values), values - values.mean()
+    rho = [float(np.sum(centred[: n - k] * centred[k:])) / float(np.sum(centred**2)) for k in range(n)]
+    total = 1.0
+    for k in range(1, n - 1, 2):
+        if rho[k] + rho[k + 1] <= 0.0:
+            break
+        total += 2.0 * (rho[k] + rho[k + 1])
+    return min(max(n / total, 1.0), n)
+
+
+@pytest.mark.parametrize("n", [4, 5, 6, 7, 30, 31])
+def test_effective_number_is_the_sum_over_positive_pairs(n):
+    steps = np.repeat([0.0, 1.0], [n // 2, n - n // 2])
+    walk = np.cumsum(np.random.default_rng(n).normal(size=n))
+    for values in (steps, walk, walk - 1e6, 1e-100 * walk):
+        assert effective_number(values) == pytest.approx(initial_positive_sequence(values), rel=1e-6)
+    assert n < 30 or effective_number(walk) < 0.8 * n
+    assert effective_number(np.arange(1.0, 4.0)) == 3.0  # too few for a pair of lags
+    assert effective_number(np.empty(0)) == 0.0
+
+
+def test_effective_number_of_a_constant_is_all_of_them():
+    """Also where its mean is off by rounding; differences of ten times that are a series."""
+    for value in (0.0, 1.0, 0.1, 1.0 / 3.0):
+        assert effective_number(np.full(100, value)) == 100.0
+    walk = np.cumsum(np.random.default_rng(1).normal(size=100))
+    assert effective_number(1.0 + 1e-10 * walk) < 50.0
+    assert effective_number(1.0 + 1e-15 * walk) == 100.0
+
+
+def test_independent_ranks_of_a_percentile():
+    """An effective number below 1 is one, above that of the values all, and a fraction is rounded down."""
+    values = np.arange(1.0, 101.0)
+    assert percentile_interval(values, 50.0, 20.9) == percentile_interval(values, 50.0, 20.0) == (26.0, 75.0)
+    assert percentile_interval(values, 50.0, 1e9) == percentile_interval(values, 50.0)
+    assert percentile_interval(values, 50.0, 0.3) == percentile_interval(values, 50.0, 1.0) == (None, None)

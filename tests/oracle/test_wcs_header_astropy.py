@@ -90,3 +90,26 @@ def test_a_lens_that_no_polynomial_follows_is_refused():
         wcs_header(Camera.from_fov(90.0, 1920, 1080, Distortion(-0.25, 0.08, 0.0, 0.0, -0.01)), attitude)
     with pytest.raises(InputError, match="beyond the fold"):
         wcs_header(Camera.from_fov(80.0, 1000, 1000, Distortion(k1=-0.35)), attitude)
+
+
+@pytest.mark.parametrize("name", ["off centre", "mirrored", "decentred", "off the image"])
+def test_reversed_rows_have_the_same_world_coordinates(name):
+    """The pixel (x, y) of a file from the top is (x, H − 1 − y) of one from the bottom, SIP's way back included."""
+    camera, attitude = CAMERAS[name], Attitude.from_radec_roll(40.0, -30.0, 77.0)
+    down, up = (wcs_header(camera, attitude, row_order=order) for order in ("TOP-DOWN", "BOTTOM-UP"))
+    rng = np.random.default_rng(2)
+    xy = rng.uniform(-0.5, [camera.width - 0.5, camera.height - 0.5], (100, 2))
+    turned = np.column_stack([xy[:, 0], camera.height - 1.0 - xy[:, 1]])
+    there = WCS(Header(down)).all_pix2world(xy, 0)
+    found = radec_to_direction(*np.radians(WCS(Header(up)).all_pix2world(turned, 0)).T)
+    assert np.linalg.norm(found - radec_to_direction(*np.radians(there).T), axis=1).max() < 1e-11
+    if camera.distortion.is_zero:
+        return
+    u, v = (xy - np.array([camera.cx, camera.cy])).T
+    for way, sign in (("A", 1.0), ("B", -1.0), ("AP", 1.0), ("BP", -1.0)):
+        terms = [(p, q) for p in range(14) for q in range(14) if f"{way}_{p}_{q}" in down]
+        assert {key for key in up if key.startswith(f"{way}_")} == {key for key in down if key.startswith(f"{way}_")}
+        one = sum(down[f"{way}_{p}_{q}"] * u**p * v**q for p, q in terms)
+        other = sum(up[f"{way}_{p}_{q}"] * u**p * (-v) ** q for p, q in terms)
+        np.testing.assert_allclose(other, sign * one, rtol=1e-9, atol=1e-12)
+        assert np.abs(one).max() > 0.1

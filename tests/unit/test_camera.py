@@ -249,3 +249,61 @@ def test_files_that_are_not_there_or_not_text(tmp_path):
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x9f")
     with pytest.raises(InputError, match="is not YAML"):
         Camera.from_yaml(tmp_path / "binary.yaml")
+
+
+# ---------------------------------------------------------------- fields of view of real lenses
+def angle_deg(one, other):
+    return math.degrees(math.atan2(np.linalg.norm(np.cross(one, other)), one @ other))
+
+
+@pytest.mark.parametrize("parity", [1, -1])
+def test_field_of_view_of_a_distorted_lens_is_that_between_the_edges(parity):
+    """Along the row and column of the principal point, from edge to edge; without distortion from the focal length."""
+    camera = Camera(900.0, 950.0, 200.0, 330.0, 512, 420, LENS, parity)
+    left, right = camera.unproject([[-0.5, 330.0], [511.5, 330.0]])
+    top, bottom = camera.unproject([[200.0, -0.5], [200.0, 419.5]])
+    assert camera.fov_deg == pytest.approx(angle_deg(left, right), rel=1e-12)
+    assert camera.fov_y_deg == pytest.approx(angle_deg(top, bottom), rel=1e-12)
+    plain_x = math.degrees(math.atan(200.5 / 900.0) + math.atan(311.5 / 900.0))
+    plain_y = math.degrees(math.atan(330.5 / 950.0) + math.atan(89.5 / 950.0))
+    assert camera.undistorted_fov_deg == pytest.approx(plain_x, rel=1e-12)
+    assert camera.fov_deg != pytest.approx(plain_x, rel=1e-4)
+    ideal = Camera(900.0, 950.0, 200.0, 330.0, 512, 420, parity=parity)
+    assert ideal.fov_deg == pytest.approx(plain_x, rel=1e-12)
+    assert ideal.fov_y_deg == pytest.approx(plain_y, rel=1e-12)
+    assert ideal.fov_text == f"{plain_x:.3f}° × {plain_y:.3f}°"
+    # beyond the fold no pixel has a direction
+    folded = Camera(300.0, 310.0, 200.0, 330.0, 512, 420, Distortion(k1=-0.9))
+    assert np.isnan(folded.unproject([[511.5, 330.0], [200.0, -0.5]])).all()
+    assert folded.fov_deg == pytest.approx(math.degrees(math.atan(200.5 / 300.0) + math.atan(311.5 / 300.0)))
+    assert folded.fov_y_deg == pytest.approx(math.degrees(math.atan(330.5 / 310.0) + math.atan(89.5 / 310.0)))
+    farthest = math.atan(math.hypot(311.5 / 300.0, 330.5 / 310.0))
+    assert folded.half_diagonal_rad == pytest.approx(farthest)
+
+
+def test_field_of_view_of_a_fisheye_ends_at_its_image_circle():
+    lens = Distortion(k1=-0.02)
+    camera = Camera(300.0, 310.0, 200.0, 330.0, 512, 420, lens, projection="fisheye")
+    left, right = camera.unproject([[-0.5, 330.0], [511.5, 330.0]])
+    top, bottom = camera.unproject([[200.0, -0.5], [200.0, 419.5]])
+    assert camera.fov_deg == camera.undistorted_fov_deg == pytest.approx(angle_deg(left, right), rel=1e-9)
+    assert camera.fov_y_deg == pytest.approx(angle_deg(top, bottom), rel=1e-9)
+    corner = camera.unproject([[511.5, -0.5]])[0]
+    assert camera.half_diagonal_rad == pytest.approx(math.acos(corner[2]), rel=1e-9)
+    # a principal point beside the image: both edges on one side of it
+    beside = Camera(300.0, 310.0, -40.0, 330.0, 512, 420, lens, projection="fisheye")
+    left, right = beside.unproject([[-0.5, 330.0], [511.5, 330.0]])
+    assert beside.fov_deg == pytest.approx(angle_deg(left, right), rel=1e-9)
+    small = Camera(20.0, 20.0, 200.0, 330.0, 512, 420, lens, projection="fisheye")
+    assert small.fov_deg == pytest.approx(2.0 * math.degrees(small.limit_rad))
+    assert small.half_diagonal_rad == pytest.approx(small.limit_rad)
+
+
+def test_contains_is_enlarged_on_all_sides():
+    camera = Camera.from_fov(10.0, 20, 10)
+    for margin in (0.0, 2.5, -2.0):
+        low, high = -0.5 - margin, np.array([19.5, 9.5]) + margin
+        inside = [[low, low], [high[0] - 1e-9, 5.0], [5.0, high[1] - 1e-9]]
+        outside = [[low - 1e-9, 5.0], [5.0, low - 1e-9], [high[0], 5.0], [5.0, high[1]], [np.nan, 5.0]]
+        assert camera.contains(np.array(inside), margin).all()
+        assert not camera.contains(np.array(outside), margin).any()

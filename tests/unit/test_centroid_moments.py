@@ -1,5 +1,7 @@
 """First moment: kernels against NumPy twins, exactness on noise-free stars, borders, smear, bad input."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.special import erf
@@ -17,7 +19,7 @@ from startracker.centroid.bias import (
     window_moments,
 )
 from startracker.centroid.frame import SYSTEMATIC_PX, measure_psf_sigma
-from startracker.centroid.window import Pixels, read_window
+from startracker.centroid.window import Peaks, Pixels, measure_stars, read_window
 from startracker.detection import Background, Spots, estimate, find_components
 from startracker.detection.plane import as_plane
 from startracker.errors import InputError
@@ -93,6 +95,23 @@ def test_inverse_is_exact(sigma):
         assert inverse_slope == pytest.approx(1 / slope, rel=1e-6)
         both = invert_moments(mean, variance, -2, 2)
         assert both == pytest.approx((centre, sigma), abs=1e-6)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-2, 2), (-3, 1), (0, 2), (5, 11)])
+@pytest.mark.parametrize("sigma", [0.11, 0.16, 0.25, 0.6, 2.5])
+def test_inverse_from_any_guess(sigma, low, high):
+    """Where the mean is a staircase of the centre, Newton's method leaves its bracket, and halves it."""
+    middle = 0.5 * (low + high)
+    for centre in np.linspace(low - 0.4, high + 0.4, 45):
+        light, mean, _, slope, *_ = window_moments(centre, sigma, low, high)
+        if slope < 1e-4:
+            continue
+        for guess in (mean, middle, low - 0.5, high + 0.5, centre + 0.3):
+            found, inverse_slope, seen = invert_from(guess, mean, sigma, low, high)
+            assert window_moments(found, sigma, low, high)[1] == pytest.approx(mean, abs=1e-9)
+            assert found == pytest.approx(centre, abs=2e-9 / slope)
+            assert inverse_slope == pytest.approx(1.0 / slope, rel=1e-3)
+            assert seen == pytest.approx(light, rel=1e-3)
 
 
 @pytest.mark.parametrize(("sigma", "half"), [(0.4, 1), (0.8, 2), (1.5, 2), (2.5, 3)])
@@ -349,3 +368,49 @@ def test_where_no_star_image_is_nothing_is_measured():
         background = Background(np.zeros_like(image), np.full_like(image, 4.3))
         found = first_moment(image, background, spots_at((12, 12)), CentroidSettings(psf_sigma_px=0.9), 3.3)
         assert (np.sqrt(found.covariance[:, [0, 1], [0, 1]]) < 1.1).all()
+
+
+def measured(image, noise, sigma, half, *, peak, pixels=1, saturated=False, correct=True):
+    """Row of one star with a given brightest pixel, on a background of zero."""
+    planes = as_plane(np.zeros(image.shape, np.float32)), as_plane(np.full(image.shape, noise, np.float32))
+    peaks = Peaks(*(np.array([value]) for value in (*peak, pixels, saturated)))
+    return measure_stars(Pixels(image, *planes, 0.0, 0.0), peaks, half, *sigma, correct)[0]
+
+
+@pytest.mark.parametrize("wide", [0, 1])
+def test_a_star_known_no_better_than_its_width_is_none(wide):
+    """The wider axis counts, and at least one pixel; noise of the size of its own light over the window."""
+    for sigmas in ((1.0, 2.5), (0.5, 0.6)):
+        sigma = sigmas if wide else sigmas[::-1]
+        image = draw((41, 41), [(20.2, 19.9, 1000.0)], *sigma)
+        limit = max(*sigma, 1.0) ** 2
+        certain = measured(image, 1e-3, sigma, 4, peak=(20, 20))
+        largest = max(certain[3:5]) / 1e-6  # variances go with that of the noise
+        for share, found in ((0.98, True), (1.02, False)):
+            row = measured(image, math.sqrt(share * limit / largest), sigma, 4, peak=(20, 20))
+            assert bool(np.isfinite(row).all()) is found
+    np.testing.assert_allclose(certain[:2], [20.2, 19.9], atol=1e-4)
+
+
+@pytest.mark.parametrize("off", [(0, 0), (3, 0), (0, -3), (-2, 2)])
+def test_the_window_of_a_flat_top_moves_to_its_middle(off):
+    """Any of the saturated pixels may be given as the brightest; also at a corner of the image."""
+    for x, y in ((30.3, 31.8), (1.4, 62.2)):
+        image = np.minimum(draw((64, 64), [(x, y, 4e6)], 1.2), 4095)
+        peak = (min(max(round(x) + off[0], 0), 63), min(max(round(y) + off[1], 0), 63))
+        given = {"pixels": int(np.count_nonzero(image == 4095)), "saturated": True}
+        row = measured(image, 5.0, (1.2, 1.2), 2, peak=peak, **given)
+        expected = measured(image, 5.0, (1.2, 1.2), 2, peak=(round(x), round(y)), **given)
+        np.testing.assert_allclose(row, expected)
+        assert np.abs(row[:2] - [x, y]).max() < (0.05 if x > 10 else 1.5)
+    dark = np.zeros((64, 64), np.float32)
+    assert np.isnan(measured(dark, 5.0, (1.2, 1.2), 2, peak=(30, 30), saturated=True)).all()
+
+
+def test_charge_along_an_axis_adds_to_the_error_of_a_flat_top():
+    """0.05 px and a quarter of the difference of the widths, on both axes."""
+    image = draw((64, 64), [(30.0, 32.0, 1e4)], 1.0, 2.0)
+    row = measured(image, 1e-3, (1.0, 2.0), 8, peak=(30, 32), saturated=True)
+    widths = math.sqrt(1.0 + 1.0 / 12.0) - math.sqrt(4.0 + 1.0 / 12.0)
+    np.testing.assert_allclose(row[3:5], 0.05**2 + (0.25 * widths) ** 2, rtol=1e-3)
+    assert row[2] == pytest.approx(1e4, rel=1e-4)

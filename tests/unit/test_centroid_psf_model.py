@@ -1,11 +1,13 @@
 """Tables of star images: Gaussians against SciPy's integral, smear against a sum of exposures, files."""
 
+import zipfile
+
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
 from scipy.stats import multivariate_normal
 
-from startracker.centroid.psf_model import PsfModel, gaussian_psf, load_psf
+from startracker.centroid.psf_model import _MOST_EXPANDED_BYTES, PsfModel, gaussian_psf, load_psf
 from startracker.errors import InputError
 
 
@@ -85,3 +87,48 @@ def test_bad_files_are_named(tmp_path):
         load_psf(even)
     with pytest.raises(InputError, match="covariance"):
         gaussian_psf(1.0, 1.0, 1.0, radius_px=4.0)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"format": 99},
+        {"table": np.ones((5, 7))},
+        {"table": np.ones(5)},
+        {"table": np.full((5, 5), np.inf)},
+        {"oversampling": 0},
+        {"shape": np.ones(2)},
+    ],
+)
+def test_each_part_of_a_file_is_checked(tmp_path, changes):
+    path = tmp_path / "psf.npz"
+    gaussian_psf(0.9, 0.7, 0.1, radius_px=1.0).save(path)
+    with np.load(path) as data:
+        parts = dict(data)
+    np.savez(path, **{**parts, "oversampling": 1})
+    assert load_psf(path).oversampling == 1
+    damaged = tmp_path / "damaged.npz"
+    np.savez(damaged, **{**parts, **changes})
+    with pytest.raises(InputError, match="is damaged: the table must be square, of odd size and finite"):
+        load_psf(damaged)
+
+
+def test_objects_in_a_file_are_not_made(tmp_path):
+    """Reading a pickled object runs what its author wrote into it."""
+    path = tmp_path / "psf.npz"
+    table = np.ones((5, 5)).astype(object)
+    np.savez(path, format=1, table=table, oversampling=1, shape=np.ones(3))
+    with pytest.raises(InputError, match=r"not a star image made by PsfModel\.save \(.*pickle"):
+        load_psf(path)
+
+
+def test_an_archive_that_expands_beyond_the_limit_is_refused_unread(tmp_path):
+    path = tmp_path / "psf.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("table.npy", "w", force_zip64=True) as file,
+    ):
+        for _ in range(_MOST_EXPANDED_BYTES // 2**20 + 1):
+            file.write(bytes(2**20))
+    with pytest.raises(InputError, match=r"its tables have [0-9,]+ bytes"):
+        load_psf(path)

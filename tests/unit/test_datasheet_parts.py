@@ -15,8 +15,8 @@ from simulator.study.datasheet import sky
 from simulator.study.datasheet.accuracy import _against_bound, _classes, _noise_levels, _whole
 from simulator.study.datasheet.classes import CLASSES, separate
 from simulator.study.datasheet.dependence import residuals, robustness, temperature
-from simulator.study.datasheet.frames import BOUND_EVERY, DatasheetFrames
-from simulator.study.datasheet.performance import acquisition, exclusion, rates
+from simulator.study.datasheet.frames import BOUND_EVERY, DatasheetFrames, _border_distances_px
+from simulator.study.datasheet.performance import acquisition, exclusion, rates, tracking
 from simulator.study.datasheet.scan import PASSES, scan_geometry
 from simulator.study.datasheet.sheet import LEVELS, Amounts, Estimate, Quantity, select
 from simulator.study.datasheet.tables import accuracy_table
@@ -395,3 +395,49 @@ def test_other_pixels_and_noise_alone_change_the_detector_only(small):
     assert noise.detector.pattern is small.renderer.detector.pattern
     assert (noise.detector.parameters.prnu, noise.detector.parameters.dsnu) == (0.0, 0.0)
     assert small.renderer.detector.parameters.prnu == 0.01
+
+
+def test_frames_near_a_body_are_the_same_trials_at_every_angle():
+    """From the first trial on, at the inverse of what is bisected."""
+    scenario = SCENARIO.changed({"optics.baffle.pst": "vane"})
+    camera = Camera(lambda task: {"right": np.full(task.arguments[1], task.arguments[3] > 17.0)})
+    found = {each.name: each.estimate for each in exclusion(scenario, camera, AMOUNTS)}
+    assert all(task.method == "near_body" for task in camera.tasks)
+    assert {task.arguments[:2] for task in camera.tasks} == {(0, AMOUNTS.per_rate)}
+    assert {task.arguments[2] for task in camera.tasks} >= {"sun", "earth"}
+    for body in ("sun", "earth"):
+        assert found[f"smallest_angle_{body}"].value == pytest.approx(17.0, rel=1e-3)
+        assert not next(task for task in camera.tasks if task.arguments[2] == "sun").scenario.sky.earth
+
+
+def test_interruptions_divide_the_sequence_evenly():
+    """Two of them, at a third and two thirds; the attitude is back one and three frames after they end."""
+    step_s = SCENARIO.sequence.step_s
+    asked = []
+
+    def columns_of(task):
+        count, gaps = task.scenario.sequence.frames, task.scenario.sequence.dropouts
+        asked.append([(gap.start_s, gap.duration_s) for gap in gaps])
+        elapsed = step_s * np.arange(count)
+        status, mode = np.full(count, "solved", dtype=object), np.full(count, "tracking", dtype=object)
+        for gap, late in zip(gaps, (0, 2), strict=False):
+            inside = (elapsed >= gap.start_s) & (elapsed < gap.start_s + gap.duration_s)
+            status[inside], mode[inside] = "no_frame", "none"
+            after = np.flatnonzero(inside)[-1] + 1
+            status[after : after + late], mode[after : after + late + 1] = "no_match", "prior"
+        return {"status": status, "mode": mode, "elapsed_s": elapsed, "wrong": np.zeros(count, bool)}
+
+    amounts = dataclasses.replace(AMOUNTS, sequence=int(60.0 / step_s))
+    found = {each.name: each for each in tracking(SCENARIO, Camera(columns_of), amounts, 2.0)}
+    assert asked[0] == [(pytest.approx(20.0, abs=step_s), 1.0), (pytest.approx(40.0, abs=step_s), 5.0)]
+    recovery = found["recovery_time"].estimate
+    assert (recovery.low, recovery.high) == (pytest.approx(step_s), pytest.approx(3.0 * step_s))
+
+
+def test_distances_from_the_border_are_to_the_outer_edges_of_its_pixels():
+    """An image of 80 rows and 100 columns ends at −0.5, 99.5 and 79.5."""
+    xy = np.array([[0.0, 40.0], [99.0, 40.0], [50.0, 78.0], [50.0, -1.5], [60.0, 40.0]])
+    sources = SimpleNamespace(image_xy=xy, id=np.array([7, 8, 9, 10, 11]))
+    found = _border_distances_px(SimpleNamespace(sources=sources), np.array([0, 1, 2, 3, 4]), (80, 100))
+    assert found == {7: 0.5, 8: 0.5, 9: 1.5, 10: -1.0, 11: 39.5}
+    assert list(_border_distances_px(SimpleNamespace(sources=sources), np.array([4]), (80, 100))) == [11]

@@ -8,12 +8,13 @@ import pytest
 
 from simulator import Renderer, Scenario
 from simulator.build import aged_detector, build_damage, build_focal_plane, build_transients, detector_parameters
+from simulator.constants import EARTH_RADIUS_KM
 from simulator.detector.cosmic_rays import PAIR_ENERGY_EV, SILICON_XI_EV_UM
 from simulator.environment import shield
 from simulator.environment.coefficients import COEFFICIENTS
 from simulator.environment.damage import Pixel, damage, glass_transmission
 from simulator.environment.dose import Dose
-from simulator.environment.galactic import GalacticCosmicRays
+from simulator.environment.galactic import CUTOFF_GV, DIPOLE_AXIS, GalacticCosmicRays, cutoff_gv
 from simulator.environment.parameters import Environment
 from simulator.environment.solar import event_fluence, reaching
 from simulator.environment.spectrum import Spectrum
@@ -232,3 +233,16 @@ def test_number_of_displacement_interactions_is_dose_over_dose_per_interaction()
     assert aged.displacement.interactions_per_pixel == pytest.approx(5e6 / 1e6 * 400.0 / per_interaction, rel=1e-12)
     moving = aged.telegraph.pixel_fraction * aged.telegraph.dark_e_s * aged.telegraph.high_share
     assert aged.mean_dark_e_s == pytest.approx(aged.displacement.mean_e_s + moving, rel=1e-12)
+
+
+@pytest.mark.parametrize("radii", [1.0, 1.1, 2.0])
+@pytest.mark.parametrize("latitude_deg", [0.0, 30.0, -60.0])
+def test_the_vertical_cutoff_is_stoermers(radii, latitude_deg):
+    """C cos⁴λ / r², with the latitude from the axis of the dipole and r in radii of the Earth."""
+    axis = np.asarray(DIPOLE_AXIS) / np.linalg.norm(DIPOLE_AXIS)
+    across = np.cross(axis, [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    latitude = np.radians(latitude_deg)
+    position = radii * EARTH_RADIUS_KM * (np.cos(latitude) * across + np.sin(latitude) * axis)
+    expected = CUTOFF_GV * np.cos(latitude) ** 4 / radii**2
+    np.testing.assert_allclose(cutoff_gv(position[None]), [expected], rtol=1e-6)

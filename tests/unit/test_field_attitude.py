@@ -58,6 +58,28 @@ def test_the_last_star_that_may_be_left_is_fitted_again(guide):
     assert math.degrees(TRUTH.angle_to(Attitude.from_matrix(found.matrix))) * 3600 < 0.01
 
 
+@pytest.mark.parametrize("blends", [3, 6, 8])
+def test_blends_stay_out_where_the_evidence_for_them_is_decisive(guide, blends):
+    """Of 20 stars known to 0.015 px some are displaced by 1 px: more than any field has, and still not the errors of
+    all, as 12 stars or more agree to 0.015 px. Fitted with the rest they turn the camera by 1 px √blends / 20."""
+    index, xy = stars_of(guide)
+    chosen = np.argsort(guide.v_mag[index])[:20]
+    assert len(chosen) == 20
+    rng = np.random.default_rng(blends)
+    seen = xy[chosen] + 0.015 * rng.normal(size=(20, 2))
+    angle = rng.uniform(0.0, 2.0 * np.pi, blends)
+    displaced = rng.permutation(20)[:blends]
+    seen[displaced] += np.column_stack([np.cos(angle), np.sin(angle)])
+    pairs = np.column_stack([np.arange(20), index[chosen]])
+    found = refine(pairs, Measured(seen, None, np.full(20, 0.015**2)), CAMERA, guide, estimation.field_fit)
+    error = TRUTH.rotation_vector_to(Attitude.from_matrix(found.matrix))
+    # 0.015 px / √12 across, over both axes, four times
+    assert np.hypot(*error[:2]) < 4.0 * 0.015 * np.sqrt(2.0 / 12.0) * CAMERA.pixel_rad
+    used = found.pairs[found.used, 0]
+    assert np.intersect1d(used, displaced).size == 0
+    assert len(used) >= 20 - blends - 1
+
+
 def test_plate_constants_of_stars_on_a_line_have_the_covariance_of_their_derivatives():
     """Against the estimator's own derivatives by every star's two shifts, for a wide line that is not symmetric."""
     along = np.radians([-30.0, -24.0, -2.0, 1.0, 5.0, 9.0, 33.0])

@@ -322,3 +322,76 @@ def test_stars_of_a_solution_have_their_errors(tracker):
     assert stars.sigma_px == pytest.approx(0.03, rel=0.3)
     predicted = tracker.camera.project(stars.directions @ free.attitude.as_matrix().T)
     np.testing.assert_allclose(stars.xy - predicted, free.stars.fitted.residual_px, atol=1e-6)
+
+
+# ---------------------------------------------------------------------- protection of the lens
+def test_frames_beyond_the_gate_make_the_lens_uncertain_after_five():
+    """The focal length jumps by 30 of its standard deviations: four frames are refused, with the fifth the initial
+    uncertainty is added, and the next is used. A frame that fits in between begins the count again."""
+    settings = InFlightSettings(parameters=("f", "cx"), field_px=0.0, star_error_px=0.0)
+    rng, filtered = np.random.default_rng(3), LensFilter(WIDE, settings)
+    jumped = lens(WIDE, ("f",), [30.0 * filtered.initial_sigma[0]])
+    number = 0
+
+    def frame(camera):
+        nonlocal number
+        number += 40
+        return filtered.update(*new_sky(rng, camera, 40, 0.02, number))
+
+    for _ in range(3):
+        assert frame(WIDE).accepted
+    assert (filtered.frames, filtered.restarts) == (3, 0)
+    found = [frame(jumped) for _ in range(4)]
+    assert not any(one.accepted for one in found)
+    assert all(one.reason.endswith("is beyond the gate") for one in found)
+    assert frame(WIDE).accepted
+    before = filtered.filtered.copy(), filtered.random.copy(), filtered.prior_variance.copy()
+    for _ in range(4):
+        assert "made uncertain" not in frame(jumped).reason
+    np.testing.assert_array_equal(filtered.filtered, before[0])
+    assert frame(jumped).reason.endswith("is beyond the gate; the lens was made uncertain after 5 such frames")
+    initial = np.diag(filtered.initial_sigma**2)
+    np.testing.assert_allclose(filtered.filtered, before[0] + initial)
+    np.testing.assert_allclose(filtered.random, before[1] + initial)
+    np.testing.assert_allclose(filtered.prior_variance, before[2] + np.diag(initial))
+    assert (filtered.frames, filtered.restarts) == (4, 1)
+
+
+def test_errors_larger_than_stated_weigh_less():
+    """Three times the stated errors: the ratio is found, at least 1, and one frame's own is its root of χ² over ν."""
+    settings = InFlightSettings(parameters=("f",), field_px=0.0, star_error_px=0.0)
+    for size, low, high in ((3.0, 2.7, 3.1), (0.5, 1.0, 1.0)):  # the first frames count with a part of theirs
+        rng, filtered = np.random.default_rng(4), LensFilter(WIDE, settings)
+        assert filtered.noise_factor == 1.0
+        for k in range(30):
+            matrix, stars = new_sky(rng, WIDE, 40, 0.05 * size, 40 * k)
+            found = filtered.update(matrix, replace(stars, sigma_px=np.full(40, 0.05)))
+            assert found.accepted
+            assert k or found.noise_factor == pytest.approx(max(size, 1.0), rel=0.25)
+        assert low <= filtered.noise_factor <= high
+
+
+def test_the_time_constant_is_that_of_the_steady_filter():
+    """P / Q of a parameter, for ever without a drift, and longer by its correlation with others."""
+    settings = InFlightSettings(parameters=("f", "cx"), focal_length_drift_ppm_sqrt_h=0.0)
+    filtered = LensFilter(WIDE, settings)
+    drift2, sigma2 = filtered.drift[1] ** 2, filtered.initial_sigma[1] ** 2
+    np.testing.assert_allclose(filtered.time_constant_s, [np.inf, sigma2 / drift2])
+    filtered.predict(9.0)
+    np.testing.assert_allclose(filtered.time_constant_s[1], (sigma2 + 9.0 * drift2) / drift2)
+    np.testing.assert_allclose(filtered.prior_variance[1], sigma2 + 9.0 * drift2)
+    np.testing.assert_allclose(filtered.random, filtered.filtered)
+
+
+def test_a_frame_that_is_not_used_still_has_the_error_of_its_attitude():
+    filtered = LensFilter(WIDE)
+    matrix, stars = new_sky(np.random.default_rng(5), WIDE, 30, 0.05)
+    found = filtered.unused(matrix, stars, "why")
+    assert (found.accepted, found.reason, found.used.tolist()) == (False, "why", [False] * 30)
+    same = filtered.update(matrix, stars)
+    # the same as of a frame that was used, whose stars all fit
+    assert same.used.all()
+    np.testing.assert_allclose(found.attitude_covariance, same.attitude_covariance, rtol=0.05)
+    few = LensFilter(WIDE).unused(matrix, stars.select(np.arange(30) < 3), "why")
+    assert few.attitude_covariance is None
+    assert LensFilter(WIDE).unused(matrix, stars.select(np.arange(30) < 4), "why").attitude_covariance is not None

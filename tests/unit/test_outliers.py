@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from startracker import Camera
 from startracker.estimation.few_stars import doubt_of_stated_errors, with_doubt
-from startracker.estimation.pose import TRUSTED, Linearised, fit_pose
+from startracker.estimation.pose import TRUSTED, Linearised, Pose, fit_pose
 from startracker.geometry.image_map import pixel_slopes
 from startracker.outliers import MOST_STARS, average, is_suspicious, log_weight, rows_of
 
@@ -118,3 +118,92 @@ def test_doubt_enlarges_all_covariances_alike():
     np.testing.assert_allclose(wide.camera_part, factor * pose.camera_part, rtol=1e-3)
     np.testing.assert_allclose(wide.sigma_px, math.sqrt(factor) * pose.sigma_px, rtol=1e-3)
     assert with_doubt(pose._replace(chi2=5.0), 5).covariance is pose.covariance
+
+
+def made_fit(log_evidence, turn=0.0, unknowns=None):
+    """A fit with a given evidence and turn about x, of fields that the average passes on."""
+    unknowns = np.zeros(3) if unknowns is None else unknowns
+    covariance = np.diag([1.0, 2.0, 3.0]) * 1e-10
+    turns, none = np.array([turn, 0.0, 0.0]), np.zeros(0)
+    return Pose(turns, covariance, 0.1 * covariance, none, 0.01, 2.0, unknowns, unknowns, log_evidence, 0.0)
+
+
+def test_the_price_of_a_displaced_star_is_its_prior_and_the_density_of_its_residual():
+    """ε / (1 − ε) of 5 %, over 2π |S|^½ ln(d_max/d_min) (χ² + 4), S from the fit, the stated errors and τ²."""
+    stars = stars_of(8, 5)
+    extra = np.random.default_rng(1).normal(size=(5, 2, 1))
+    stars = stars._replace(extra=extra, extra_sigma=np.ones(1))
+    fit = made_fit(-3.0, 2e-5, np.array([0.02, 1e-4, -2e-4, 3e-4]))
+    used = np.array([True, False, True, True, False])
+    expected = -3.0
+    for k in (1, 4):
+        x, y = stars.offset[k]
+        moved = [x * (1e-4 - 2e-4) + y * 3e-4, x * 3e-4 + y * (1e-4 + 2e-4)] + 0.02 * extra[k, :, 0]
+        away = stars.residual[k] - stars.slopes[k] @ fit.turn - moved
+        spread = stars.slopes[k] @ fit.covariance @ stars.slopes[k].T + (2.0 * SIGMA_PX**2 + 0.01) * np.eye(2)
+        square = away @ np.linalg.solve(spread, away)
+        density = 2.0 * math.pi * math.sqrt(np.linalg.det(spread)) * 3.5 * (square + 4.0)
+        expected += math.log(0.05 / 0.95 / density)
+    assert log_weight(stars, used, fit) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_average_is_over_hypotheses_of_a_twentieth_of_the_best_and_more():
+    """Mean and covariance of the mixture of fits whose weights are prescribed, three of them beside the first."""
+    stars = stars_of(9, 5)
+    everyone = np.arange(5)
+    price = [log_weight(stars, everyone != k, made_fit(0.0, turn=1e-5 * k)) for k in range(5)]
+    shares = [0.8, 0.5, 0.0501, 0.0499, 1e-9]
+
+    def fit(rows):
+        left_out = np.setdiff1d(everyone, rows)
+        if len(left_out) == 0:
+            return made_fit(0.0)
+        k = int(left_out[0])
+        return made_fit(math.log(shares[k]) - price[k], turn=1e-5 * k)
+
+    pose, used = average(stars, fit)
+    assert used.all()
+    weight, turns = np.array([1.0, 0.8, 0.5, 0.0501]), 1e-5 * np.array([0.0, 0.0, 1.0, 2.0])
+    weight /= weight.sum()
+    mean = weight @ turns
+    assert pose.turn == pytest.approx([mean, 0.0, 0.0])
+    scatter = np.diag([weight @ (turns - mean) ** 2, 0.0, 0.0])
+    np.testing.assert_allclose(pose.covariance, np.diag([1.0, 2.0, 3.0]) * 1e-10 + scatter, rtol=1e-9, atol=1e-25)
+    np.testing.assert_allclose(pose.camera_part, np.diag([1.0, 2.0, 3.0]) * 1e-11 + scatter, rtol=1e-9, atol=1e-25)
+
+
+@pytest.mark.parametrize(("stars", "compared"), [(3, False), (4, True), (12, True), (13, False)])
+def test_hypotheses_are_compared_of_four_to_twelve_stars(stars, compared):
+    fit = made_fit(0.0)._replace(chi2=chi2.isf(0.04, 2 * stars - 3))
+    assert bool(is_suspicious(fit, stars)) is compared
+
+
+@pytest.mark.parametrize("count", [5, 9])
+def test_a_fit_does_not_depend_on_the_orientation_of_the_image(count):
+    """A frame rotated by 90°, with unknown errors along one axis only: the same fit, about rotated axes."""
+    rng = np.random.default_rng(10 + count)
+    xy = rng.uniform(0.0, 1023.0, (count, 2))
+    centre = np.array([CAMERA.cx, CAMERA.cy])
+    rotation = np.array([[0.0, -1.0], [1.0, 0.0]])
+    errors = np.column_stack([rng.normal(0.0, 0.05, count), np.zeros(count)])
+    fits = []
+    for turned in (np.eye(2), rotation):
+        vectors = CAMERA.unproject(centre + (xy - centre) @ turned.T)
+        stars = Linearised(
+            errors @ turned.T,
+            pixel_slopes(vectors, CAMERA.image_map),
+            CAMERA.project(vectors) - centre,
+            np.tile(np.eye(2), (count, 1, 1)),
+            np.empty((count, 2, 0)),
+            np.empty(0),
+        )
+        fits.append(fit_pose(stars, 0.0, 0, 3, 2))
+    one, other = fits
+    assert other.factor == pytest.approx(one.factor, rel=1e-9)
+    assert other.chi2 == pytest.approx(one.chi2, rel=1e-9)
+    assert other.log_evidence == pytest.approx(one.log_evidence, rel=1e-9)
+    np.testing.assert_allclose(other.sigma_px, one.sigma_px, rtol=1e-9)
+    axes = np.eye(3)
+    axes[:2, :2] = rotation
+    np.testing.assert_allclose(other.turn, axes @ one.turn, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(other.covariance, axes @ one.covariance @ axes.T, rtol=1e-6, atol=1e-18)

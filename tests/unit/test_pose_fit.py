@@ -227,3 +227,16 @@ def test_stars_left_out_of_the_fit():
     assert stars.fitted.catalog_id.tolist() == [3, 8]
     assert stars.fitted.used.all()
     assert len(MatchedStars.none().fitted) == 0
+
+
+def test_prior_probabilities_sum_to_one():
+    """Of the models, and of the sizes of a systematic error if there is one; larger sizes are less probable."""
+    models, sizes = np.exp(pose._PRIOR_OF_MODELS), np.exp(pose._PRIOR_OF_SYSTEMATIC)
+    assert models.sum() == pytest.approx(1.0)
+    assert (np.diff(models) < 0.0).all()
+    assert sizes[0] == 1.0  # of none, given that there is none
+    assert sizes[1:].sum() == pytest.approx(1.0)
+    assert len(sizes) == len(pose.SYSTEMATIC)
+    np.testing.assert_allclose(sizes[3:] / sizes[1:-2], 0.75)  # for each factor of two
+    np.testing.assert_allclose(pose.SYSTEMATIC[3:] / pose.SYSTEMATIC[1:-2], 2.0)
+    assert pose.SYSTEMATIC[:2].tolist() == [0.0, 0.2]

@@ -1,9 +1,12 @@
 """The rules of operation one by one, on made frames."""
 
+import math
+
 import numpy as np
 import pytest
 
 from startracker.detection.bad_pixels import BadPixelCount
+from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings, OperationSettings
@@ -227,3 +230,26 @@ def test_frame_without_an_attitude_or_not_used_teaches_nothing(lacking):
             verdict = Verdict("sun", "saturated", None)
         operation.learn(image, verdict, None if lacking == "attitude" else turned(0.8 * k), MatchedStars.none())
     assert not operation.blemishes.any()
+
+
+@pytest.mark.parametrize("exposure_s", [0.0, -1.0, math.nan, math.inf])
+def test_an_exposure_that_is_not_positive_is_refused(exposure_s):
+    with pytest.raises(InputError, match="the exposure must be positive"):
+        rules(exposure_s)
+
+
+@pytest.mark.parametrize(
+    ("exposure_s", "step_s", "shortest_s", "allowed_s"),
+    [
+        (0.4, 0.0, 0.01, 0.4),
+        (0.004, 0.0, 0.01, 0.01),
+        (0.45, 0.1, 0.01, 0.4),
+        (0.3, 0.1, 0.01, 0.3),  # 0.3 / 0.1 is 2.9999999999999996
+        (0.05, 0.1, 0.01, 0.1),
+        (0.25, 0.1, 0.31, 0.4),
+        (0.25, 0.1, 0.3, 0.3),
+    ],
+)
+def test_exposures_are_whole_steps_not_below_the_shortest(exposure_s, step_s, shortest_s, allowed_s):
+    operation = rules(exposure_s, exposure_step_s=step_s, shortest_exposure_s=shortest_s)
+    assert operation.exposure_s == pytest.approx(allowed_s, rel=1e-9)

@@ -200,6 +200,8 @@ def test_an_interrupt_keeps_what_is_done(monkeypatch):
     found = budget(Scenario.load("cubesat_ideal", overrides=QUIET), 50)
     assert (found.interrupted, [row.name for row in found.effects], found.remainder) == (True, ["shot noise"], None)
     assert "Interrupted" in found.table()
+    written = found.to_dict()
+    assert (written["interrupted"], written["remainder"], len(written["effects"])) == (True, None, 1)
     calls.append(None)
     calls[:] = [None, None]
     with pytest.raises(BoresightError, match="no results"):
@@ -259,3 +261,37 @@ def test_for_real():
     assert (row.name, found.classes[0].name) == ("read noise", CLASSES["temporal"])
     assert row.added_deg2["cross_x"] > 0.5 * found.rms_deg["cross_x"] ** 2
     assert found.remainder.rms_off_deg == row.rms_off_deg
+
+
+def test_the_table_and_the_file_have_the_same_numbers():
+    """Arcseconds, and degrees; roots keep the sign of the square, and an interval has both ends or none."""
+    third = {"cross_x": 1e6, "cross_y": -4e6, "about_boresight": 0.25e6}
+    squares = {axis: value / 3600.0**2 for axis, value in third.items()}
+    off = dict.fromkeys(third, 7000.0 / 3600.0)
+    ends = {
+        "cross_x": [-0.25e6 / 3600.0**2, 2.25e6 / 3600.0**2],
+        "cross_y": [None, None],
+        "about_boresight": [None, 1.0],
+    }
+    one = module.Contribution("one", "detector", off, squares, ends, 90, 91)
+    two = module.Contribution("two", "optics", off, dict.fromkeys(third, 9e6 / 3600.0**2), ends, 90, 91)
+    found = module.Budget(
+        "name", 5, 100, 95, dict.fromkeys(third, 11000.0 / 3600.0), {}, (one, two), (two,), one,
+        rms_with_outliers_deg=dict.fromkeys(third, 13000.0 / 3600.0),
+    )  # fmt: skip
+    lines = found.table().splitlines()
+    assert lines[0] == "Error budget of name: 100 trials, seed 5"
+    assert lines[3].split() == ["all", "effects", "on", *["11000.000"] * 3]
+    rows = [line.split() for line in lines if line.startswith(("  one", "  two"))]
+    assert [row[0] for row in rows] == ["two", "one", "two"]  # the largest about the first axis comes first
+    assert rows[1] == ["one", "1000.000", "(-500.000", "to", "1500.000)", "-2000.000", "500.000"]
+    assert any(line.split() == ["all", "effects", "off", *["7000.000"] * 3] for line in lines)
+    assert any(line.split()[-3:] == ["13000.000"] * 3 for line in lines)
+    assert "Interrupted" not in found.table()
+    entry = found.to_dict()["effects"][0]
+    assert (entry["name"], entry["class"], entry["trials"], entry["solved"]) == ("one", "detector", 90, 91)
+    assert entry["axes"]["cross_y"]["added_rms_deg"] == pytest.approx(-2000.0 / 3600.0)
+    assert entry["axes"]["cross_x"]["added_rms_interval95_deg"] == pytest.approx([-500.0 / 3600.0, 1500.0 / 3600.0])
+    assert entry["axes"]["cross_y"]["added_rms_interval95_deg"] == [None, None]
+    assert entry["axes"]["about_boresight"]["rms_off_deg"] == pytest.approx(7000.0 / 3600.0)
+    assert found.to_dict()["remainder"] == entry

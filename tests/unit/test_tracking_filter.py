@@ -12,6 +12,7 @@ from startracker.geometry.attitude import Attitude
 from startracker.tracking import GyroNoise, Mekf, RateNoise
 from startracker.tracking.kinematics import correct
 from startracker.tracking.mekf import chi_square_limit
+from startracker.tracking.watched import WatchedFilter
 
 START = Attitude.from_radec_roll(10.0, -30.0, 200.0)
 
@@ -205,3 +206,111 @@ def test_gyro_that_falls_silent_costs_certainty():
 def test_what_cannot_be_is_refused(wrong):
     with pytest.raises(InputError):
         wrong(Mekf(START, np.eye(3)))
+
+
+def test_doubt_adds_the_variances_of_errors():
+    """Of the attitude, of the bias or the rate, and of the scale factors by what was stated of them."""
+    for noise in (GyroNoise(3e-5, 1e-6, 1e-4, scale_sigma=1e-3), GyroNoise(3e-5, scale_sigma=0.0), RateNoise()):
+        twin = Mekf(START, np.diag([1.0, 2.0, 30.0]) * 1e-8, noise)
+        before, scale = twin.covariance, twin.scale_sigma
+        twin.doubt(3e-4, 2e-5)
+        np.testing.assert_allclose(
+            twin.covariance - before, np.diag(np.repeat([9e-8, 4e-10], 3)), rtol=1e-9, atol=1e-22
+        )
+        np.testing.assert_allclose(twin.scale_sigma, scale * math.sqrt(2.0))
+        kept = twin.covariance
+        twin.distrust(4.0)
+        np.testing.assert_allclose(twin.covariance, 4.0 * kept)
+
+
+def test_the_prior_of_a_prediction_is_five_standard_deviations_wide():
+    """At least 0.1°; none if that is more than the limit."""
+    watched = WatchedFilter(RateNoise(), 1e-6)
+    assert watched.prior(10.0) == (None, 1.0)
+    assert watched.uncertainty_rad == math.inf
+    assert watched.covariance is None
+    watched.begin(START, np.eye(3) * 1e-12)
+    attitude, found = watched.prior(0.1)
+    assert found == 0.1
+    assert attitude.angle_to(START) < 1e-12
+    assert watched.prior(0.0999) == (None, 1.0)
+    watched.begin(START, np.diag([1.0, 4.0, 4.0]) * 1e-6)
+    width = math.degrees(5.0 * 3e-3)
+    attitude, found = watched.prior(1.001 * width)
+    assert attitude.angle_to(START) < 1e-12
+    assert found == pytest.approx(width)
+    assert watched.prior(0.999 * width) == (None, 1.0)
+
+
+def test_a_prediction_beyond_a_right_angle_is_no_longer_one():
+    watched = WatchedFilter(RateNoise(), 1e-6)
+    watched.predict(1.0, None)
+    for sigma, kept in ((0.999, True), (1.001, False)):
+        watched.begin(START, np.eye(3) * (sigma * math.pi / 2.0) ** 2 / 3.0)
+        watched.predict(0.0, None)
+        assert (watched.mekf is not None) is kept
+    watched.begin(START, np.eye(3))
+    watched.forget()
+    assert watched.mekf is None
+
+
+def test_gyro_samples_that_cannot_be_are_ignored_with_a_remark():
+    watched = WatchedFilter(GyroNoise(), 1e-6)
+    assert watched.has_gyro
+    assert not WatchedFilter(RateNoise(), 1e-6).has_gyro
+    assert watched.sample(None) == (None, "")
+    sample, remark = watched.sample([0.1, 0.2, -0.3])
+    assert (sample.tolist(), remark) == ([0.1, 0.2, -0.3], "")
+    assert watched.sample([0.1, math.nan, 0.0]) == (None, "the gyro sample is not finite and was ignored")
+    sample, remark = watched.sample([0.0, -1e6, 0.0])
+    assert sample is None
+    assert remark.startswith("the gyro sample is beyond ")
+
+
+@pytest.mark.parametrize("step_s", [0.25, 4.0])
+def test_a_restart_knows_the_rate_from_the_last_two_attitudes(step_s):
+    """Without a gyro the difference from the last solved attitude over the time bounds the rate; with one that from the
+    prediction bounds the bias; either is at least as uncertain as stated at first."""
+    covariance = np.eye(3) * 1e-14
+    for noise, stated in ((RateNoise(1e-6, 1e-3), 1e-3), (GyroNoise(1e-6, 1e-8, 1e-4, scale_sigma=0.0), 1e-4)):
+        for turn, expected in ((0.1, 0.1 / step_s), (1e-4 * step_s, stated)):
+            watched = WatchedFilter(noise, 1e-6)
+            innovation, restarted = watched.take_attitude(10.0, START, covariance)
+            assert innovation is None
+            assert restarted
+            moved = turned(START, np.array([0.0, turn, 0.0]))
+            watched.mekf = Mekf(START, covariance, noise)  # a prediction that is certain, so that the gate is narrow
+            watched.mekf.reset(START, covariance, second_sigma_rad_s=0.0)
+            innovation, restarted = watched.take_attitude(10.0 + step_s, moved, covariance)
+            assert restarted
+            assert not innovation.accepted
+            second = np.sqrt(watched.mekf.covariance.diagonal()[3:])
+            np.testing.assert_allclose(second, expected, rtol=1e-6)
+            assert watched.mekf.attitude.angle_to(moved) < 1e-12
+            assert watched.mekf.noise_factor == 10.0  # within a window of frames it is an alarm
+    unsolved = WatchedFilter(RateNoise(1e-6, 1e-3), 1e-6)
+    unsolved.begin(START, covariance)
+    unsolved.take_attitude(1.0, turned(START, np.array([0.0, 0.1, 0.0])), covariance)
+    np.testing.assert_allclose(np.sqrt(unsolved.mekf.covariance.diagonal()[3:]), 1e-3)
+
+
+def test_contradictions_reduce_the_confidence_in_the_prediction():
+    """Two attitudes that are each within the gate, and together beyond what a consistent filter gives: the second is
+    weighed ten times as much, and the noise is raised."""
+    watched = WatchedFilter(RateNoise(0.0, 0.0), 1e-6)
+    covariance = np.eye(3) * 1e-10
+    watched.begin(START, covariance)
+    off = turned(START, np.array([4.5e-5 * math.sqrt(2.0), 0.0, 0.0]))  # 4.5 standard deviations of the innovation
+    innovation, restarted = watched.take_attitude(1.0, off, covariance)
+    assert innovation.accepted
+    assert not restarted
+    assert not watched.distrusted
+    before = watched.mekf.attitude
+    again = turned(before, np.array([4.5e-5 * math.sqrt(1.5), 0.0, 0.0]))
+    innovation, restarted = watched.take_attitude(2.0, again, covariance)
+    assert not restarted
+    assert watched.distrusted
+    assert watched.mekf.noise_factor == 10.0 - 9.0 / 256.0
+    # variance of the prediction 5e-11, ten times as large: 5 parts of 6 of the difference are taken
+    taken = before.angle_to(watched.mekf.attitude) / before.angle_to(again)
+    assert taken == pytest.approx(5.0 / 6.0, rel=1e-3)

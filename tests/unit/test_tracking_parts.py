@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from startracker.estimation.wahba import attitude_covariance
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import log_chance
@@ -14,7 +15,7 @@ from startracker.observer import Observer
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
 from startracker.tracking.evidence import log_assignments
-from startracker.tracking.looking import Sky, look, window_half
+from startracker.tracking.looking import Expected, Sky, look, window_half
 from startracker.tracking.matching import Match, match_gated, spreads, track
 from startracker.tracking.scatter import Scatter
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
@@ -150,6 +151,17 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     # 900 over 3: some 0.01 px, plus what the widths measured on few stars leave
     assert max(found) < 0.06
     assert seen.windows == CAMERA.contains(np.rint(centre)).sum()
+    assert seen.area_sr == pytest.approx(seen.windows * ((2 * half + 1) * CAMERA.pixel_rad) ** 2)
+    assert seen.window_half_px == half
+    np.testing.assert_array_equal(seen.window_xy, np.rint(centre)[CAMERA.contains(np.rint(centre))])
+    wide = look(image, tracker, expected, 60, 0.0, 1.0, None, 1.0)
+    assert wide.area_sr == tracker.guide.solid_angle_sr  # no more than the whole frame
+    doubted = look(image, tracker, expected, half, 0.0, 3.0, None, 1.0)
+    np.testing.assert_allclose(doubted.sigma_px, 3.0 * seen.sigma_px, rtol=1e-5)
+    np.testing.assert_allclose(doubted.stated_px, seen.stated_px, rtol=1e-5)
+    trusted = look(image, tracker, expected, half, 0.0, 0.3, None, 1.0)
+    np.testing.assert_allclose(trusted.sigma_px, seen.stated_px, rtol=1e-5)
+    np.testing.assert_allclose(seen.gate_px**2 - seen.stated_px**2, seen.gate_px[0] ** 2 - seen.stated_px[0] ** 2)
     assert window_half(tracker, expected, np.eye(3) * 1e-2, 0.0, 20) is None  # windows too large
     assert look(image, tracker, expected, None, 0.0, 1.0, None, 1.0) is None
     assert look(image[:10], tracker, expected, half, 0.0, 1.0, None, 1.0) is None
@@ -211,3 +223,96 @@ def test_frames_are_accepted_by_the_rule_of_identification(tracker):
         assert found.solved == (other is loose), found.reason
         assert session.state.matched == 1  # the filter takes the star in either way
         assert not found.solved or found.log_false_alarm == session.state.log_chance < 0.0
+
+
+def test_windows_reach_as_far_as_the_prediction_and_the_streak():
+    """4.3 standard deviations, half a centroid window and 5 px; half of the streak's length in addition."""
+    expected = Expected(np.arange(2), np.zeros((2, 3)), np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]]))
+    tracker = StarTracker(Camera.from_fov(4.0, 512, 512), magnitude_limit=6.0)
+    pixel = tracker.camera.pixel_rad
+    sigma_px, side = 2.0, tracker.centroid.window_px // 2 + 5
+    covariance = np.diag([1.0, 1.0, 0.0]) * (sigma_px * pixel) ** 2 / 2.0  # the length of the error, over both axes
+    half = math.ceil(4.3 * sigma_px * (1.0 + 1e-4)) + side
+    assert window_half(tracker, expected, covariance, 0.0, 60) == half
+    assert window_half(tracker, expected, covariance, 0.0, half) == half
+    assert window_half(tracker, expected, covariance, 0.0, half - 1) is None
+    assert window_half(tracker, expected, covariance, 5.0, half) == half + 3
+    assert window_half(tracker, expected, covariance, 10.0, half) == half + 5
+    assert window_half(tracker, expected, covariance, 10.1, half) is None
+    # at most half of the frame: 512² pixels over 2 (2 half + 1)²
+    most = int((math.sqrt(512**2 / 4) - 1) / 2)
+    wide = (most - side) / 4.3 / math.sqrt(2.0) * pixel
+    assert window_half(tracker, expected, np.diag([1.0, 1.0, 0.0]) * (0.999 * wide) ** 2, 0.0, 1000) == most
+    assert window_half(tracker, expected, np.diag([1.0, 1.0, 0.0]) * (1.003 * wide) ** 2, 0.0, 1000) is None
+
+
+@pytest.mark.parametrize("octant", range(8))
+@pytest.mark.parametrize(("x", "y"), [(0.02, 0.05), (0.6, 0.05), (1e-5, 0.6), (0.6, 1e-5), (0.6, 0.8 - 1e-11)])
+def test_one_star_turns_an_uncertain_prediction_by_the_kalman_gain(octant, x, y):
+    """A prediction of 0.5° and a star of 0.2″ in any direction, as whole-sky cameras have them."""
+    signs = [1.0 - 2.0 * (octant >> n & 1) for n in range(3)]
+    predicted = np.array(signs) * [x, y, math.sqrt(1.0 - x**2 - y**2)]
+    covariance = np.diag([1.0, 2.0, 3.0]) * math.radians(0.5) ** 2
+    across = np.cross(predicted, [0.3, -0.5, 0.8])
+    seen = math.cos(1e-3) * predicted + math.sin(1e-3) * across / np.linalg.norm(across)
+    partner, turn, _, evidence = track(seen[None], np.array([1e-6]), predicted[None], covariance, 1.0)
+    assert partner.tolist() == [0]
+    assert math.isfinite(evidence)
+    # the displacement is p × δ, and δ = P Hᵀ (H P Hᵀ)⁻¹ of it; the second order is 1e-6
+    h = np.cross(predicted, np.eye(3)).T
+    expected = covariance @ h.T @ np.linalg.pinv(h @ covariance @ h.T, rcond=1e-9) @ (seen - predicted)
+    assert np.abs(turn - expected).max() < 3e-6
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (59, 0), (0, 39), (59, 39), (1, 20), (30, 1)])
+def test_windows_at_the_border_of_an_image(x, y):
+    """Rows and columns 0 and last belong to it; the noise is at least 1e-5 of the brightest central pixel."""
+    image = np.full((40, 60), 50.0, np.float32)
+    image[y, x] = 1050.0
+    half, columns = 4, 1
+    mosaic, level, noise = lay_out(image, np.array([x]), np.array([y]), half, columns, 1e-6)
+    gap = (cell_px(half) - 2 * half - 1) // 2
+    padded = np.full((40 + 2 * half, 60 + 2 * half), 50.0, np.float32)
+    padded[half:-half, half:-half] = image
+    np.testing.assert_array_equal(mosaic[gap : gap + 9, gap : gap + 9], padded[y : y + 9, x : x + 9])
+    assert (level == 50.0).all()
+    np.testing.assert_allclose(noise, 1e-5 * 1000.0, rtol=1e-6)
+    # of a centre outside the image, or not finite, nothing is known
+    image[y, x] = math.nan
+    _, _, noise = lay_out(image, np.array([x, -3]), np.array([y, 20]), half, 2, 1e-6)
+    np.testing.assert_allclose(noise, 1e-6, rtol=1e-6)
+
+
+def test_the_noise_of_a_window_is_at_least_most_of_the_common_one():
+    """0.7 of the median over all windows; a window without any pixel has neither level nor noise of its own."""
+    rng = np.random.default_rng(3)
+    image = rng.normal(100.0, 5.0, (60, 200)).astype(np.float32)
+    image[:, :40] = 100.0
+    x, y = np.array([20, 80, 120, 160, 500]), np.full(5, 30)
+    _, level, noise = lay_out(image, x, y, 6, 5, 0.1)
+    pitch = cell_px(6)
+    own = noise[0, ::pitch]
+    common = np.median([0.0, *own[1:4], 0.0])
+    np.testing.assert_allclose(own[[0, 4]], 0.7 * common, rtol=1e-5)
+    assert level[0, 4 * pitch] == 0.0
+    assert (own[1:4] > 3.0).all()
+
+
+def test_the_attitude_of_the_stars_alone_has_their_covariance(tracker):
+    """That of Wahba's problem with the measured errors; of two stars there is none."""
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0)
+    _, _, xy = tracker.guide.in_field(attitude.as_matrix())
+    xy = xy[CAMERA.contains(xy, -3.0)]
+    for count in (2, 3, 6):
+        session = TrackingSession(tracker)
+        session.reset(attitude, 0.01)
+        followed = session._follow_centroids(xy[:count], None, None)
+        assert len(followed.stars) == count
+        found = followed.star_attitude(CAMERA)
+        if count < 3:
+            assert found is None
+            continue
+        vectors = CAMERA.unproject(xy[:count])
+        expected = attitude_covariance(vectors, followed.seen.sigma_px[followed.stars] * CAMERA.pixel_rad)
+        np.testing.assert_allclose(found[1], expected, rtol=1e-6)
+        assert Attitude(found[0]).angle_to(attitude) < 1e-5

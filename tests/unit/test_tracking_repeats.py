@@ -154,3 +154,44 @@ def test_limit_of_the_mean_innovation_is_that_of_chi_square(ratio, found):
     for _ in range(frames - 1):
         window.add(innovation(vector))
     assert window.contradicts(innovation(vector)) == found
+
+
+def test_two_frames_are_the_fewest_that_contradict():
+    window = InnovationWindow()
+    assert not window.contradicts(innovation([9.0, 0.0, 0.0]))
+    window.add(innovation([0.0, 0.0, 0.0]))
+    assert window.contradicts(innovation([9.0, 0.0, 0.0]))
+    # a frame without a whitened innovation does not count for the mean: 2 × 16.4 is below χ²(5), and above χ²(3)
+    window.forget()
+    window.add(Innovation(True, 0.0, 2))
+    assert not window.contradicts(innovation([math.sqrt(16.4), 0.0, 0.0]))
+
+
+def test_only_the_last_frames_count():
+    """32, the new one included: what is older is taken off, from every sum."""
+    window = InnovationWindow()
+    for _ in range(32):
+        window.add(innovation([0.0, 1.0, 0.0]))
+    for _ in range(31):
+        window.add(innovation([0.0, 0.0, 0.0]))
+    assert not window.contradicts(innovation([0.0, 0.0, 0.0]))
+    limit = math.sqrt(chi_square_limit(96, 1e-3))
+    assert not window.contradicts(innovation([0.0, 0.0, 0.99 * limit]))
+    assert window.contradicts(innovation([0.0, 0.0, 1.01 * limit]))
+
+
+def test_an_outlier_within_a_window_is_an_alarm_and_after_a_full_one_not():
+    window = InnovationWindow()
+    for _ in range(31):
+        window.add(innovation([1.0, 1.0, 1.0]))
+    window.restart()
+    assert window.noise_factor == 10.0
+    for _ in range(32):
+        window.add(innovation([1.0, 1.0, 1.0]))
+    before = window.noise_factor
+    window.restart()
+    assert window.noise_factor == before
+    assert not window.contradicts(innovation([99.0, 0.0, 0.0]))  # a new window
+    for _ in range(20):
+        window.alarm()
+    assert window.noise_factor == 1e8
