@@ -15,6 +15,7 @@ from startracker.centroid.result import Centroids
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.components import find_trailed
 from startracker.detection.defects import fill_gaps, has_crowd, mask_impulses
+from startracker.detection.light import Light
 from startracker.detection.motion import motion_at
 from startracker.detection.spots import Spots
 from startracker.detection.structure import follow_structure, has_structure
@@ -82,6 +83,8 @@ class FoundStars:
     """Covariance of an error common to all centroids (`Centroids.common_px2`), (2, 2)."""
     misfit: float | None = None
     """How far the star images are from those that were fitted (`Centroids.misfit`)."""
+    light: Light | None = None
+    """The image, for what the detector rejected."""
     trailed: bool = False
     """Whether the centroids are midpoints of trails."""
     other: Callable[[], FoundStars | None] | None = None
@@ -256,6 +259,7 @@ class _Looks:
             covariance_px2=stars.covariance,
             common_px2=stars.common_px2,
             misfit=stars.misfit,
+            light=Light(self.pixels, self.background, self.detection.threshold_sigma),
             trailed=trailed,
         )
 

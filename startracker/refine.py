@@ -12,6 +12,7 @@ import numpy as np
 from startracker.arrays import BoolArray, FloatArray, IntArray, filled, same
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
+from startracker.detection.light import Light
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
 from startracker.estimation.few_stars import of_unknown_errors, with_doubt
 from startracker.estimation.field_fit import Estimator, FieldFit, takes_field
@@ -86,6 +87,8 @@ class Measured(NamedTuple):
     residuals."""
     misfit: float | None = None
     """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
+    light: Light | None = None
+    """The image, if the centroids are those of one."""
 
 
 def refine(

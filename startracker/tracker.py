@@ -241,7 +241,7 @@ class StarTracker:
             stars = look() if callable(look) else look
             if stars is None:
                 continue
-            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2, stars.misfit
+            errors = stars.variance_px2, stars.covariance_px2, stars.common_px2, stars.misfit, stars.light
             tried = self._solve(Measured(stars.xy, stars.flux, *errors), prior, observer, guide, clock)
             looks.append((stars, tried))
             if tried.solved and is_whole(tried, tried.without_bodies(stars.flux), guide, stars.trailed):
@@ -333,7 +333,8 @@ class StarTracker:
             observed, _, _ = self._observed(selected(stars, rows))
             return self._identify(observed, guide, self.identification, None).pairs[:, 1]
 
-        return reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, solution.bodies.centroid, identify)
+        bodies = solution.bodies.centroid
+        return reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, bodies, identify, stars.light)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock) -> tuple[Solution, tuple[Step, ...]]:
         """Solution with fitted focal length, within its error, and the attempts."""
