@@ -15,6 +15,7 @@ from startracker.centroid.result import Centroids, Measured
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.components import find_trailed
 from startracker.detection.defects import fill_gaps, has_crowd, mask_impulses
+from startracker.detection.light import Light
 from startracker.detection.motion import motion_at
 from startracker.detection.spots import Spots
 from startracker.detection.structure import follow_structure, has_structure
@@ -260,8 +261,9 @@ class _FrameStars:
             stars = replace(stars, covariance=stars.covariance + self.centroid.camera_model_px**2 * np.eye(2))
         self.trace.extend((step, partial(centroid_step, stars)))
         variance = (stars.covariance[:, 0, 0] + stars.covariance[:, 1, 1]) / 2.0
+        light = Light(self.pixels, self.background, self.detection.threshold_sigma)
         return FoundStars(
-            Measured(stars.xy, stars.flux, variance, stars.covariance, stars.common_px2, stars.misfit),
+            Measured(stars.xy, stars.flux, variance, stars.covariance, stars.common_px2, stars.misfit, light),
             trailed,
             int(np.count_nonzero(stars.saturated)),
             saturated_share=self.survey.saturated_share,

@@ -68,4 +68,4 @@ def selected(stars: Measured, rows: IntArray) -> Measured:
     flux, variance, covariance = (
         None if column is None else column[rows] for column in (stars.flux, stars.variance_px2, stars.covariance_px2)
     )
-    return Measured(stars.xy[rows], flux, variance, covariance, stars.common_px2, stars.misfit)
+    return Measured(stars.xy[rows], flux, variance, covariance, stars.common_px2, stars.misfit, stars.light)

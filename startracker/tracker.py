@@ -338,7 +338,8 @@ class StarTracker:
             observed, _, _ = self._observed(selected(stars, rows))
             return self._identify(observed, guide, self.identification, None).pairs[:, 1]
 
-        return reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, solution.bodies.centroid, identify)
+        bodies = solution.bodies.centroid
+        return reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, bodies, identify, stars.light)
 
     def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock, trace: Trace) -> Solution:
         """Solution with fitted focal length, within its error."""

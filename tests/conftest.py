@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(config, items):
 
 def pytest_configure(config):
     if config.getoption("--record-slow") and not hasattr(config, "workerinput"):  # once, not by each worker
-        config.pluginmanager.register(SlowRecorder(), "slow recorder")
+        config.pluginmanager.register(slow_tests.Recorder(), "slow recorder")
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -59,29 +59,6 @@ def within_the_time_for_slow_tests(request, began_s):
     minutes = request.config.getoption("--slow-minutes")
     if minutes is not None and request.node.get_closest_marker("slow") and time.monotonic() - began_s > 60.0 * minutes:
         pytest.skip(f"the {minutes:g} minutes for slow tests are over")
-
-
-class SlowRecorder:
-    """Writes how long each slow test took and the commit at which it passed."""
-
-    def __init__(self):
-        self.seconds, self.failed = {}, set()
-
-    def pytest_runtest_logreport(self, report):
-        if "slow" in report.keywords and not report.skipped:
-            self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
-            if report.failed:
-                self.failed.add(report.nodeid)
-
-    def pytest_sessionfinish(self):
-        records, commit = slow_tests.read_records(), slow_tests.clean_commit()
-        for name, seconds in self.seconds.items():
-            record = records.setdefault(name, {})
-            record["seconds"] = round(seconds, 1)
-            if name not in self.failed and commit:
-                record["passed"] = commit
-        if self.seconds:
-            slow_tests.write_records(records)
 
 
 @pytest.hookimpl(wrapper=True)

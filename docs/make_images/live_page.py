@@ -1,12 +1,14 @@
 """Do the experiments of docs/how-to/teach-live.md on the live page, print what it says, and draw its pictures.
 
-python docs/make_images/live_page.py
+python docs/make_images/live_page.py [--frames N]
 
+With fewer frames after each change than the 25 of the guide's figures, it draws the same pictures sooner.
 Needs the extra `live`, playwright and Chromium, named in the variable CHROMIUM or on the path.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import shutil
@@ -24,29 +26,31 @@ from simulator.live.server import ServerOptions, serving
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 SPEED, FRAMES = 5.0, 25
 """Factor on real time, and frames after a change before the page's figures are read, which are of its last 10 s."""
+UPDATE_MS = 5500
+"""The page updates its figures every five seconds."""
 
 
 @contextmanager
-def lesson(browser: Any, scenario: str, *settings: str, **screen: Any) -> Iterator[Lesson]:
-    """The page on a server of its own."""
+def lesson(browser: Any, most: int, scenario: str) -> Iterator[Lesson]:
+    """The page on a server of its own; `most` frames after each change."""
     options = ServerOptions(port=0, speed=SPEED, recordings=Path(tempfile.mkdtemp()))
-    with serving(Scenario.load(scenario, list(settings)), options) as server:
-        page = browser.new_context(viewport={"width": 1400, "height": 900}, **screen).new_page()
+    with serving(Scenario.load(scenario), options) as server:
+        page = browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
         page.goto(server.url)
         page.wait_for_selector("text=/^(Tracking|Solved)/")
-        yield Lesson(page, server)
+        yield Lesson(page, server, most)
         page.context.close()
 
 
 class Lesson:
     """What a class does with the page."""
 
-    def __init__(self, page: Any, server: Any) -> None:
-        self.page, self.server = page, server
+    def __init__(self, page: Any, server: Any, most: int) -> None:
+        self.page, self.server, self.most = page, server, most
 
     def frames(self, count: int = FRAMES) -> None:
-        """Wait until so many more frames have been made."""
-        last = self.server.mission.index + count
+        """Wait until so many more frames have been made, or as many as there may be after a change."""
+        last = self.server.mission.index + min(count, self.most)
         while self.server.mission.index < last:
             self.page.wait_for_timeout(100)
         self.page.wait_for_timeout(500)
@@ -74,7 +78,8 @@ class Lesson:
         """The same after enough frames for a window of its own."""
         self.page.select_option("#window", "10")
         self.frames()
-        self.page.wait_for_timeout(5500)  # the page updates its figures every five seconds
+        if self.most >= FRAMES:
+            self.page.wait_for_timeout(UPDATE_MS)
         return self.says(what)
 
     def draw(self, name: str, selector: str | None = None) -> None:
@@ -83,8 +88,8 @@ class Lesson:
         (IMAGES / name).write_bytes(shown.screenshot(type="jpeg", quality=82))
 
 
-def exposure(browser: Any) -> None:
-    with lesson(browser, "cubesat_ideal") as does:
+def exposure(browser: Any, most: int) -> None:
+    with lesson(browser, most, "cubesat_ideal") as does:
         does.frames(25)
         does.draw("live-page.jpg")
         does.page.click("#hold")
@@ -95,15 +100,15 @@ def exposure(browser: Any) -> None:
         does.draw("live-exposure.jpg", ".panel.frame")
 
 
-def bound(browser: Any) -> None:
+def bound(browser: Any, most: int) -> None:
     for scenario in ("cubesat_ideal", "cubesat"):
-        with lesson(browser, scenario) as does:
+        with lesson(browser, most, scenario) as does:
             does.frames(40)
             does.measure(scenario)
 
 
-def rate(browser: Any) -> None:
-    with lesson(browser, "cubesat_ideal") as does:
+def rate(browser: Any, most: int) -> None:
+    with lesson(browser, most, "cubesat_ideal") as does:
         for value in (0.1, 0.3, 1.0):
             does.enter("pointing.rate_deg_s.yaw", value)
             does.measure(f"rate yaw {value:g}°/s")
@@ -118,8 +123,8 @@ def rate(browser: Any) -> None:
         does.measure("kick 1°/s, exposure 0.02 s")
 
 
-def blind(browser: Any) -> None:
-    with lesson(browser, "cubesat_ideal") as does:
+def blind(browser: Any, most: int) -> None:
+    with lesson(browser, most, "cubesat_ideal") as does:
         does.frames(20)
         does.says("before")
         does.page.click("#blind")
@@ -136,8 +141,8 @@ def blind(browser: Any) -> None:
         does.draw("live-blind.jpg", ".panel.errors")
 
 
-def age(browser: Any) -> None:
-    with lesson(browser, "cubesat_ideal") as does:
+def age(browser: Any, most: int) -> None:
+    with lesson(browser, most, "cubesat_ideal") as does:
         does.measure("new, 20 °C")
         does.enter("detector.hot_pixel_fraction", 0.01)
         does.measure("1 % hot pixels, 20 °C")
@@ -148,12 +153,15 @@ def age(browser: Any) -> None:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=40, metavar="N", help="at most N frames after a change")
+    most = parser.parse_args().frames
     program = os.environ.get("CHROMIUM") or shutil.which("chromium")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
         for experiment in (exposure, bound, rate, blind, age):
             print(f"\n{experiment.__name__}", flush=True)
-            experiment(browser)
+            experiment(browser, most)
         browser.close()
 
 

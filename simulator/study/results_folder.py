@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import json
 import platform
+import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -212,6 +213,18 @@ def unfinished_identity(folder: Path, kind: str) -> Identity | None:
         f"{folder}: unidentifiable unfinished trials (of another version, or damaged); "
         "choose another --out, or discard them with --force"
     )
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove a folder of parts whose results are written; the identity last, so that what is left after a kill is
+    still identified by the next run."""
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != IDENTITY_FILE:
+                path.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _refuse_loss(folder: Path, new: Identity) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
+from startracker.detection.light import Light
 from startracker.display import fields_repr
 
 _BRIGHTEST, _FEWEST = 9, 5
@@ -71,6 +72,8 @@ class Measured(NamedTuple):
     residuals. None: the star images show none, or cannot."""
     misfit: float | None = None
     """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
+    light: Light | None = None
+    """The image, for what the detector rejected; None: the centroids are a list."""
 
 
 def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:

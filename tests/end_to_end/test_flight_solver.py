@@ -10,8 +10,8 @@ from benchmarks.flight_lists import FIELDS, field_list, null_list
 from benchmarks.flight_tracker import lists_text
 from benchmarks.integer_lists import PATTERNS
 from simulator.randomness import stream
-from simulator.study.exported_c.build import HOST, compile_export
-from simulator.study.exported_c.targets import Target
+from simulator.study.exported_c.build import compile_export
+from simulator.study.exported_c.targets import CLANG, HOST
 from startracker import Camera, StarTracker
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import assemble, flight_export, flight_parts
@@ -26,7 +26,6 @@ pytestmark = pytest.mark.system
 
 SANITIZED = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wshadow", "-O1")
 """-O1: with sanitizers -O2 takes twice as long to compile as to run."""
-CLANG = Target("this machine", "clang-14")
 BUILDS = {"gcc": HOST, "clang": CLANG}
 ONE = 1 << 30
 

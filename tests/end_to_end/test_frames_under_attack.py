@@ -186,6 +186,21 @@ def test_strong_smooth_structure_does_not_hide_the_stars(amplitude, scale):
     assert [cubesat().outcome(index, aurora(amplitude, scale)) for index in range(2)] == ["solved"] * 2
 
 
+def test_stars_that_are_rejected_with_the_ridge_they_lie_on_do_not_contradict():
+    """14 and 22 bright guide stars are not in the list: all have light, but as parts of streaks and clutter."""
+    assert [cubesat().outcome(index, aurora(1000.0, 20.0)) for index in (3, 7)] == ["solved"] * 2
+
+
+@pytest.mark.parametrize("index", [0, 4, 6])
+def test_a_torn_image_with_ridges_is_refused(index):
+    """Its halves swapped: with the light of the right half alone few of the bright guide stars are there."""
+
+    def spoil(image, rng):
+        return np.roll(aurora(1000.0, 20.0)(image, rng), image.shape[1] // 2, axis=1)
+
+    assert cubesat().outcome(index, spoil) in ("no_match", "ambiguous")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [20.0, 40.0, 100.0])
 @pytest.mark.parametrize("amplitude", [100.0, 300.0, 1000.0])

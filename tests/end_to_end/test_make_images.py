@@ -14,6 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"
 NEEDED = {"basilisk": "Basilisk"}
 """Optional package of a script."""
+ARGUMENTS = {"live_page": ["--frames", "3"]}
+"""The figures of its guide are of 25 frames after each of 20 changes, which take more than ten minutes."""
 SCRIPTS = sorted((ROOT / "docs" / "make_images").glob("*.py"))
 
 
@@ -24,7 +26,7 @@ def test_script_draws_its_pictures(script, tmp_path, monkeypatch):
     if script.stem in NEEDED:
         pytest.importorskip(NEEDED[script.stem])
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    monkeypatch.setattr("sys.argv", [str(script)])
+    monkeypatch.setattr("sys.argv", [str(script), *ARGUMENTS.get(script.stem, [])])
     monkeypatch.setattr("sys.path", list(sys.path))
     drawn = []
     for kind, method, position in ((Figure, "savefig", 0), (Image.Image, "save", 0), (Path, "write_bytes", None)):

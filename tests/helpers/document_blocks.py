@@ -33,6 +33,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 LANGUAGES = ("sh", "console", "python", "yaml", "toml", "text")
+ELEMENTS = """\
+ISS (ZARYA)
+1 25544U 98067A   24087.50000000  .00016717  00000-0  30571-3 0  9997
+2 25544  51.6400 208.9163 0006317  69.9862  25.2906 15.49309432440163
+"""
+"""The file of satellites that the page on the sky names: a reader's scenario is refused without it."""
 IGNORED = ("{toctree}", "{eval-rst}", "{grid}", "{image}", "{figure}")
 """Directives of the site, which are no code."""
 
@@ -277,8 +283,9 @@ def check_scenario(text: str) -> None:
 
 @contextlib.contextmanager
 def workspace(folder: Path, *, photographs: bool = True):
-    """Work in a folder where the documents find what they name: the scenarios, photographs, photographs for a fit."""
+    """Work in a folder where the documents find what they name: scenarios, elements, photographs, those for a fit."""
     (folder / "scenarios").symlink_to(ROOT / "scenarios")
+    (folder / "active.tle").write_text(ELEMENTS, encoding="utf-8")
     before = Path.cwd()
     os.chdir(folder)
     try:

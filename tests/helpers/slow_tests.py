@@ -162,6 +162,41 @@ def stale_tests(names: Iterable[str], records: Mapping[str, Mapping[str, Any]]) 
     return reasons
 
 
+# ---------------------------------------------------------------------- recording
+class Recorder:
+    """Plug-in of pytest that writes how long each slow test took and the commit at which it passed.
+
+    A test has passed if its call has: one that is skipped or interrupted has reports of its set-up and tear-down alone.
+    """
+
+    def __init__(self, path: Path = RECORDS) -> None:
+        self.path = path
+        self.seconds: dict[str, float] = {}
+        self.passed: set[str] = set()
+        self.failed: set[str] = set()
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        """Take the report of the set-up, the call or the tear-down of a test."""
+        if "slow" not in report.keywords:
+            return
+        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
+        if report.failed:
+            self.failed.add(report.nodeid)
+        elif report.when == "call" and report.passed:
+            self.passed.add(report.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        """Write the records."""
+        records, commit = read_records(self.path), clean_commit()
+        for name in self.passed | self.failed:
+            record = records.setdefault(name, {})
+            record["seconds"] = round(self.seconds[name], 1)
+            if name not in self.failed and commit:
+                record["passed"] = commit
+        if self.passed or self.failed:
+            write_records(records, self.path)
+
+
 def slow_names() -> list[str]:
     """Identifiers of all slow tests, as pytest collects them."""
     import sys

@@ -104,15 +104,15 @@ def test_a_doubtful_match_within_the_prior_gives_way_to_more_evidence_outside(tr
     assert solution.log_false_alarm == (-17.0 if inside_is_better else -500.0)
 
 
-def test_a_solution_without_the_brightest_guide_stars_is_not_the_last_look(tracker):
+def test_a_solution_without_the_brightest_guide_stars_is_not_the_last_hypothesis(tracker):
     """Fifty points are solved, of which none is one of the eight brightest stars; sixty trails have these as well."""
     rng = np.random.default_rng(4)
     xy, flux = field(tracker, 0, 60)
-    spots = look(rng, xy[8:58], flux[8:58], 0, 0.03)
-    streaks = look(rng, xy, flux, 0, 0.03)
-    alone, _, _ = tracker._solve_looks(spots, None, None, Clock())
+    spots = hypothesis(rng, xy[8:58], flux[8:58], 0, 0.03)
+    streaks = hypothesis(rng, xy, flux, 0, 0.03)
+    alone, _ = tracker._best_hypothesis([spots], None, None, Clock(), [])
     assert alone.solved
-    solution, seen, _ = answer(tracker, spots, streaks)
+    solution, seen = answer(tracker, spots, streaks)
     assert solution.solved
     assert seen.trailed
     assert solution.matched > 55

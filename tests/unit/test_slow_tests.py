@@ -3,6 +3,7 @@
 import random
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 import slow_tests
@@ -45,6 +46,29 @@ def test_records_are_read_as_written(tmp_path):
     assert slow_tests.read_records(tmp_path / "records.json") == records
     assert len((tmp_path / "records.json").read_text().splitlines()) == 4
     assert slow_tests.read_records(tmp_path / "none.json") == {}
+
+
+def test_only_tests_whose_call_passed_are_recorded_as_passed(tmp_path, monkeypatch):
+    """A skipped test has a set-up that is skipped and a tear-down that passes; an interrupted one a set-up alone."""
+    monkeypatch.setattr(slow_tests, "clean_commit", lambda: "abc")
+    recorder = slow_tests.Recorder(tmp_path / "records.json")
+    outcomes = {
+        "passes": {"setup": "passed", "call": "passed", "teardown": "passed"},
+        "fails": {"setup": "passed", "call": "failed", "teardown": "passed"},
+        "fails last": {"setup": "passed", "call": "passed", "teardown": "failed"},
+        "skipped": {"setup": "skipped", "teardown": "passed"},
+        "skips itself": {"setup": "passed", "call": "skipped", "teardown": "passed"},
+        "interrupted": {"setup": "passed"},
+    }
+    for name, phases in outcomes.items():
+        for when, outcome in phases.items():
+            is_it = {word: outcome == word for word in ("passed", "failed", "skipped")}
+            report = SimpleNamespace(nodeid=name, keywords={"slow": 1}, when=when, duration=1.5, **is_it)
+            recorder.pytest_runtest_logreport(report)
+            recorder.pytest_runtest_logreport(SimpleNamespace(**{**vars(report), "nodeid": "fast", "keywords": {}}))
+    recorder.pytest_sessionfinish()
+    expected = {"passes": {"seconds": 4.5, "passed": "abc"}, "fails": {"seconds": 4.5}, "fails last": {"seconds": 4.5}}
+    assert slow_tests.read_records(tmp_path / "records.json") == expected
 
 
 def test_the_records_are_of_tests_that_exist():

@@ -1,7 +1,9 @@
 """Finished trials are kept in few files, whole at any moment, and come back as they were."""
 
+import contextlib
 import itertools
 import json
+import os
 import shutil
 
 import numpy as np
@@ -169,6 +171,27 @@ def test_results_that_stand_are_taken_over(scenario, tmp_path):
     other = scenario.with_values(seed=scenario.seed + 1)
     assert PartStore(other, tmp_path, resume=True).missing(8) == [range(8)]
     assert pq.read_table(tmp_path / "trials.parquet").num_rows == 8  # nobody's to delete
+
+
+@pytest.mark.parametrize("kept", range(6))
+def test_a_kill_while_parts_are_removed_leaves_what_the_next_run_can_read(scenario, tmp_path, monkeypatch, kept):
+    """The identity was removed in the order of the folder: parts without it were refused as unidentifiable."""
+    store = PartStore(scenario, tmp_path, resume=False)
+    for start in range(0, 20, 5):
+        store.put(range(start, start + 5), rows(range(start, start + 5)))
+    removed, unlink = [], os.unlink
+
+    def killed(*arguments, **options):
+        if len(removed) == kept:
+            raise KeyboardInterrupt
+        removed.append(arguments)
+        unlink(*arguments, **options)
+
+    with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
+        patch.setattr("os.unlink", killed)
+        discard_parts(tmp_path)
+    assert len(removed) == min(kept, 5)  # four parts and the identity
+    assert sum(map(len, PartStore(scenario, tmp_path, resume=True).missing(20))) == 5 * min(kept, 4)
 
 
 def test_damaged_results_are_set_aside_and_not_taken_over(scenario, tmp_path):

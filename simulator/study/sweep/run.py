@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,6 +31,7 @@ from simulator.study.results_folder import (
     IDENTITY_FILE,
     Identity,
     refuse_other,
+    remove_unfinished,
     results_folder,
     scenario_sha256,
     standing,
@@ -289,7 +289,7 @@ def _run_sweep(
     scenarios = {point.index: point.scenario for point in plan.points if point.scenario is not None}
     write_results(table, [axis.path for axis in plan.swept], rows, kept, folder, scenarios)
     if not state.interrupted:
-        shutil.rmtree(kept, ignore_errors=True)
+        remove_unfinished(kept)
     return Sweep(table, folder, tuple(state.notes))
 
 
@@ -368,7 +368,7 @@ def _open_points(plan: Plan, folder: Path, force: bool) -> Path:
     if kept.exists() and any(kept.iterdir()) and not identity_file.exists():
         raise InputError(f"{kept}: contains files that do not belong to a sweep; choose another --out")
     if force:
-        shutil.rmtree(kept, ignore_errors=True)
+        remove_unfinished(kept)
     new = plan.identity(0)
     if (old := unfinished_identity(kept, "sweep")) is not None and old.sha256 != new.sha256:
         refuse_other(folder, old, new, "finished points")

@@ -12,7 +12,6 @@ import contextlib
 import itertools
 import json
 import re
-import shutil
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from simulator.study.results_folder import (
     IDENTITY_FILE,
     Identity,
     refuse_other,
+    remove_unfinished,
     scenario_sha256,
     unfinished_identity,
 )
@@ -320,7 +320,7 @@ def nothing_lost() -> Iterator[None]:
 
 def discard_parts(folder: Path) -> None:
     """Remove the blocks of a finished run after its results are written."""
-    shutil.rmtree(folder / PARTS_FOLDER, ignore_errors=True)
+    remove_unfinished(folder / PARTS_FOLDER)
 
 
 def _cast(table: pa.Table, schema: pa.Schema) -> pa.Table:
