@@ -18,7 +18,6 @@ by g(c) of it, with g = 1 for faint stars and 0 at the reference.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
@@ -238,8 +237,8 @@ def reference_psf(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolA
         shape, before, half = (xx, yy, xy), half, min(max(least, math.ceil(2.5 * math.sqrt(major))), LARGEST_HALF_PX)
         if half == before:
             break
-    ellipse = gaussian_psf(xx, yy, xy, radius_px=max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0))
-    return replace(ellipse, width_error=errors)
+    radius = max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0)
+    return gaussian_psf(xx, yy, xy, radius_px=radius, width_error=errors)
 
 
 @kernel

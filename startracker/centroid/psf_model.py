@@ -134,8 +134,14 @@ class PsfModel:
 class _ProductPsf(PsfModel):
     """A sum of products; most fits need no more, so that the table is drawn when it is first asked for."""
 
-    def __init__(self, axes: FloatArray, oversampling: int, shape: tuple[float, float, float]) -> None:
-        self.__dict__.update(axes=axes, oversampling=oversampling, shape=shape)
+    def __init__(
+        self,
+        axes: FloatArray,
+        oversampling: int,
+        shape: tuple[float, float, float],
+        width_error: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self.__dict__.update(axes=axes, oversampling=oversampling, shape=shape, width_error=width_error)
 
     @cached_property
     def table(self) -> FloatArray:
@@ -178,7 +184,9 @@ def _read_psf(path: str, changed: int) -> PsfModel:
     return PsfModel(table, oversampling, (shape[0], shape[1], shape[2]))
 
 
-def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> PsfModel:
+def gaussian_psf(
+    xx: float, yy: float, xy: float = 0.0, *, radius_px: float, width_error: tuple[float, float] = (0.0, 0.0)
+) -> PsfModel:
     """An elliptical Gaussian integrated over pixels.
 
     A product of differences of Φ where the axes are the image's, or a sum of such products where they nearly are
@@ -191,6 +199,8 @@ def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> 
         Variances and covariance, px².
     radius_px : float
         Half width of the table.
+    width_error : (float, float)
+        Standard errors of `xx` and `yy`, px².
     """
     determinant = xx * yy - xy * xy
     if not (xx > 0 and yy > 0 and determinant > 0):
@@ -203,7 +213,8 @@ def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> 
     correlation = abs(xy) / math.sqrt(xx * yy)
     terms = 1 if correlation < _UNROTATED else math.ceil(math.log(_NEGLIGIBLE) / math.log(correlation))
     if terms <= _MOST_TERMS:
-        return _ProductPsf(gaussian_axes(xx, yy, xy, oversampling, middle, terms), oversampling, (xx, yy, xy))
+        axes = gaussian_axes(xx, yy, xy, oversampling, middle, terms)
+        return _ProductPsf(axes, oversampling, (xx, yy, xy), width_error)
     # the point values on the grid, and a quadrature over the pixel whose nodes are grid points
     fine = np.arange(-middle - oversampling, middle + oversampling + 1) / oversampling
     down = fine[:, None]
@@ -212,7 +223,7 @@ def gaussian_psf(xx: float, yy: float, xy: float = 0.0, *, radius_px: float) -> 
     table = _over_pixel(_over_pixel(points, oversampling).T, oversampling).T
     cut = (table.shape[0] - 2 * middle - 1) // 2
     table = table[cut : cut + 2 * middle + 1, cut : cut + 2 * middle + 1]
-    return PsfModel(np.ascontiguousarray(table), oversampling, (xx, yy, xy))
+    return PsfModel(np.ascontiguousarray(table), oversampling, (xx, yy, xy), width_error=width_error)
 
 
 @kernel

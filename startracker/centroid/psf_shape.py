@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -314,9 +313,8 @@ def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float
         xx, yy, xy = found
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     radius = max(reach_px, 2.5 * math.sqrt(middle + spread) + 2.0)
-    ellipse = gaussian_psf(xx, yy, xy, radius_px=radius)
-    if math.isfinite(errors[0] + errors[1]):
-        ellipse = replace(ellipse, width_error=errors)
+    known = errors if math.isfinite(errors[0] + errors[1]) else (0.0, 0.0)
+    ellipse = gaussian_psf(xx, yy, xy, radius_px=radius, width_error=known)
     minor, major = middle - spread, middle + spread
     if major < _STREAK_RATIO**2 * minor or math.isnan(found[0]):
         return ellipse
