@@ -58,10 +58,13 @@ def test_a_motion_is_assumed_twice_as_large_as_seen(shift, stated, estimated, ex
         mekf.update_head(*shown(mekf, 1, (estimated * ARCSEC, 0.0, 0.0), 1e-3 * ARCSEC))
         assert mekf.bending_rad(1) == pytest.approx(estimated * ARCSEC, rel=1e-3)
     before = mekf.full_covariance
-    after = _bent(mekf, 1, shift * ARCSEC, 50.0)
+    after = _bent(mekf, 1, shift * ARCSEC, 50.0, resolved=False)
     assert after.bending_sigma_rad(1) == pytest.approx(expected * ARCSEC, rel=1e-3)
     assert after.bending_s(1) == (500.0 if stated else 200.0)
-    assert _bent(mekf, 1, shift * ARCSEC, 200.0).bending_s(1) == 800.0
+    assert _bent(mekf, 1, shift * ARCSEC, 200.0, resolved=False).bending_s(1) == 800.0
+    free = _bent(mekf, 1, shift * ARCSEC, 200.0, resolved=True)  # diffuses as fast, and hardly comes back
+    assert free.bending_sigma_rad(1) == pytest.approx(10.0 * expected * ARCSEC, rel=1e-3)
+    assert free.bending_s(1) == 80_000.0
     grown = after.full_covariance[-3:, -3:]
     grown = grown - before[-3:, -3:] if stated else grown
     np.testing.assert_allclose(grown, np.eye(3) * (expected * ARCSEC) ** 2, rtol=2e-3, atol=1e-16)
