@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, StarTracker
-from startracker.whole_field import best_look, is_whole, may_be_pieces, misfit_px
+from startracker.whole_field import explains_bright_stars, misfit_px, strongest, trail_fragments_possible
 
 CAMERA = Camera.from_fov(12.0, 512, 512)
 ATTITUDE = Attitude.from_radec_roll(83.0, -1.0, 20.0)
@@ -42,23 +42,23 @@ def test_the_rms_distance_from_the_predictions(guide):
 def test_two_fifths_of_the_bright_spots_are_matched(guide, false, whole):
     """Five of the ten matched stars are fainter than the sixth: five of 5 + 7 are 42 %, of 5 + 8 38 %."""
     for trailed in (False, True):
-        assert is_whole(solution(guide), spots(false), guide, trailed) is whole
+        assert explains_bright_stars(solution(guide), spots(false), guide, trailed) is whole
 
 
 def test_points_must_fit_and_include_the_brightest_guide_stars(guide):
-    assert is_whole(solution(guide, residual_px=2.99), spots(0), guide)
-    assert not is_whole(solution(guide, residual_px=3.01), spots(0), guide)
-    assert is_whole(solution(guide, brightest=5), spots(0), guide)
-    assert not is_whole(solution(guide, brightest=4), spots(0), guide)
+    assert explains_bright_stars(solution(guide, residual_px=2.99), spots(0), guide)
+    assert not explains_bright_stars(solution(guide, residual_px=3.01), spots(0), guide)
+    assert explains_bright_stars(solution(guide, brightest=5), spots(0), guide)
+    assert not explains_bright_stars(solution(guide, brightest=4), spots(0), guide)
     # the ends of trails are uncertain, and others are cut by the border
-    assert is_whole(solution(guide, residual_px=3.01, brightest=4), spots(0), guide, trailed=True)
+    assert explains_bright_stars(solution(guide, residual_px=3.01, brightest=4), spots(0), guide, trailed=True)
 
 
 def test_what_may_be_pieces_of_trails(guide):
-    assert may_be_pieces(solution(guide, residual_px=3.01), spots(0), guide, streaked=False)
-    assert not may_be_pieces(solution(guide, residual_px=2.99), spots(8), guide, streaked=False)
-    assert may_be_pieces(solution(guide), spots(8), guide, streaked=True)
-    assert not may_be_pieces(solution(guide, brightest=4), spots(0), guide, streaked=True)
+    assert trail_fragments_possible(solution(guide, residual_px=3.01), spots(0), guide, streaked=False)
+    assert not trail_fragments_possible(solution(guide, residual_px=2.99), spots(8), guide, streaked=False)
+    assert trail_fragments_possible(solution(guide), spots(8), guide, streaked=True)
+    assert not trail_fragments_possible(solution(guide, brightest=4), spots(0), guide, streaked=True)
 
 
 def test_the_solved_one_with_the_strongest_evidence_is_answered():
@@ -66,9 +66,9 @@ def test_the_solved_one_with_the_strongest_evidence_is_answered():
         return object(), SimpleNamespace(solved=solved, log_false_alarm=log_false_alarm)
 
     weak, strong, unsolved, none = tried(True, -20.0), tried(True, -90.0), tried(False, -300.0), tried(False, 0.0)
-    assert best_look([weak, strong]) is strong
-    assert best_look([strong, weak]) is strong
-    assert best_look([unsolved, weak]) is weak
-    assert best_look([unsolved, none]) is unsolved
+    assert strongest([weak, strong]) is strong
+    assert strongest([strong, weak]) is strong
+    assert strongest([unsolved, weak]) is weak
+    assert strongest([unsolved, none]) is unsolved
     first, last = tried(False, 0.0), tried(False, 0.0)
-    assert best_look([first, last]) is last
+    assert strongest([first, last]) is last
