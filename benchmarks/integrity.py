@@ -196,7 +196,7 @@ def tables_of(all_parts: Iterable[Part]) -> tuple[list[Table], int, int]:
         most = wilson_interval(bad, max(lists, 1))[1]
         title = f"{group}: {lists:,} lists, {bad} wrong (95 %: at most {most:.1g}), {each_ms:.1f} ms of CPU each"
         tables.append((title, ["case", "lists", "accepted", "wrong"], rows))
-        runs = [[f"{p['first']:,}", f"{p['first'] + p['lists'] - 1:,}", p["commit"], p["seed"]] for p in parts]
+        runs = [[f"{p['first']:,}", f"{p['first'] + p['lists'] - 1:,}", p["commit"], str(p["seed"])] for p in parts]
         tables.append((f"{group}: where the lists ran", ["first", "last", "commit", "seed"], runs))
         total, wrong = total + lists, wrong + bad
     return tables, total, wrong

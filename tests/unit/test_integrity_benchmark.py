@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.integrity import MODES, Part, merged, mode_of, summed
+from benchmarks.integrity import MODES, Part, merged, mode_of, summed, tables_of
 
 
 def part(first: int, lists: int, commit: str = "a", group: str = "clusters") -> Part:
@@ -46,3 +46,16 @@ def test_shares_of_modes() -> None:
     assert sum(share for _, share in MODES) == pytest.approx(1.0)
     assert mode_of(0.0) == MODES[0][0]
     assert mode_of(0.9995) == MODES[-1][0]
+
+
+def test_tables_are_text_with_the_limit_that_the_lists_allow():
+    tables, lists, wrong = tables_of([part(0, 10), part(0, 30, "b", "others")])
+    assert (lists, wrong) == (40, 0)
+    assert [title for title, _, _ in tables] == [
+        "clusters: 10 lists, 0 wrong (95 %: at most 0.3), 150.0 ms of CPU each",
+        "clusters: where the lists ran",
+        "others: 30 lists, 0 wrong (95 %: at most 0.1), 50.0 ms of CPU each",
+        "others: where the lists ran",
+    ]
+    assert all(isinstance(cell, str) for _, _, rows in tables for row in rows for cell in row)
+    assert tables[3][2] == [["0", "29", "b", "1"]]
