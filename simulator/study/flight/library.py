@@ -28,6 +28,7 @@ from simulator.study.exported_c.build import command
 from simulator.study.exported_c.targets import host_compiler
 from simulator.study.flight.program import ProgramAnswer
 from startracker.arrays import FloatArray, IntArray
+from startracker.catalog.cache import folder
 from startracker.errors import InputError
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import assemble, flight_parts
@@ -72,12 +73,8 @@ class FilterState(NamedTuple):
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled libraries: ``boresight/flight`` in the user's folder for caches."""
-    if sys.platform == "win32":
-        root = os.environ.get("LOCALAPPDATA", "")
-    else:
-        root = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(root) if root else Path.home() / ".cache") / "boresight" / "flight"
+    """Folder of the compiled libraries, in that of the catalogues' cache (`startracker.catalog.cache.folder`)."""
+    return folder() / "flight"
 
 
 def library_sources(design: FlightDesign) -> dict[str, str]:
@@ -87,14 +84,14 @@ def library_sources(design: FlightDesign) -> dict[str, str]:
     return kept | {"library.c": (files("simulator.study.flight") / "library.c").read_text("utf-8")}
 
 
-def compiled_library(design: FlightDesign, folder: Path | None = None) -> Path:
+def compiled_library(design: FlightDesign, cache: Path | None = None) -> Path:
     """Shared library of a design, compiled if there is none in the cache.
 
     Parameters
     ----------
     design : FlightDesign
-    folder : Path, optional
-        Cache; by default `cache_folder`.
+    cache : Path, optional
+        Folder; by default `cache_folder`.
 
     Raises
     ------
@@ -104,7 +101,7 @@ def compiled_library(design: FlightDesign, folder: Path | None = None) -> Path:
     sources, compiler = library_sources(design), host_compiler()
     given = [*compiler, *OPTIONS, _version_of(tuple(compiler)), *(f"{n}\n{sources[n]}" for n in sorted(sources))]
     key = hashlib.sha256("\n".join(given).encode()).hexdigest()[:_DIGITS]
-    target = (cache_folder() if folder is None else folder) / key
+    target = (cache_folder() if cache is None else cache) / key
     try:
         for found in target.glob("tracker-*.so"):
             if _is_whole(found):
@@ -113,7 +110,7 @@ def compiled_library(design: FlightDesign, folder: Path | None = None) -> Path:
         target.mkdir(parents=True, exist_ok=True)
         return _compile(sources, compiler, target)
     except OSError as error:
-        advice = "choose another folder for caches by the variable XDG_CACHE_HOME"
+        advice = "choose another folder for caches by the variable BORESIGHT_CACHE or XDG_CACHE_HOME"
         raise InputError(f"{target}: the flight build cannot be compiled there ({error.strerror}); {advice}") from error
 
 
