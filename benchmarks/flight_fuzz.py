@@ -29,8 +29,7 @@ from benchmarks.flight_fuzz_seeds import SEEDS
 from simulator.study.exported_c.fuzz import FuzzResult, build_fuzzers, run_fuzzer
 from startracker import Camera, DetectionSettings, StarTracker
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
-from startracker.flight.export import Part, assemble, flight_parts
-from startracker.flight.solver import FlightTracker
+from startracker.flight.export import Part, assemble, flight_parts, flight_tables
 from startracker.integer_export import CExport
 
 LONGEST = {"front": 300, "frames": 300, "stars": 120, "search": 120, "pose": 120, "filter": 196, "session": 336}
@@ -96,9 +95,9 @@ def fuzz_design(camera: Small, arithmetic: str, identifier: str = "adaptive") ->
 
 def fuzz_export(camera: Small, arithmetic: str, identifier: str = "adaptive") -> CExport:
     """The export of a camera, with searches that end early and smaller limits."""
-    tracker = FlightTracker.build(fuzz_design(camera, arithmetic, identifier))
-    parts = [_smaller(part, camera.steps) for part in flight_parts(tracker)]
-    return assemble(tracker.design, parts, "tracker", "")
+    design = fuzz_design(camera, arithmetic, identifier)
+    parts = [_smaller(part, camera.steps) for part in flight_parts(flight_tables(design))]
+    return assemble(design, parts, "tracker", "")
 
 
 def _smaller(part: Part, most_steps: int) -> Part:

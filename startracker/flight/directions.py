@@ -1,11 +1,12 @@
-"""Directions of star images, their positions in the tangent plane, and aberration, in integers.
+"""Table of the directions of star images: positions in the tangent plane, in integers.
 
 A table holds the tangent-plane position of a grid of pixels, for whatever projection and distortion `Camera` has;
 between them it is interpolated by cubic polynomials through four nodes in each direction. The export chooses the
 smallest grid whose directions agree with `Camera.unproject` to `GRID_ERROR_PX` everywhere on the image.
 
 The tangent plane touches the sphere at the camera's axis z: (u, v) = F (X/Z, Y/Z), with F the focal length along the
-columns for both axes. The C source (`c/tracker_directions.c`) performs the same operations in the same order.
+columns for both axes. To find the error of a table, it is interpolated here with the operations of the C
+(`c/tracker_directions.c`).
 """
 
 from __future__ import annotations
@@ -28,13 +29,10 @@ GRID_ERROR_PX = 0.001
 """Largest error of a direction from the table, pixels, at the quarters of all cells; elsewhere it is below 0.002."""
 PLANE_BITS = 16
 """Fraction bits of pixels in the tangent plane, as in the image."""
-FASTEST = 1 << 20
-"""Largest component of a velocity over that of light, 2.30: 2⁻¹⁰."""
 _NODES = (4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64)
 _WEIGHT_BITS = 26
 _HALF_PX = 1 << 15
 _ONE = 1 << 30
-_LEAST_LENGTH = 1 << 16
 _MOST_PLANE_PX = 32767.0
 _MOST_SIDE_PX = 8192
 _SAMPLES = 4
@@ -116,69 +114,6 @@ def slopes_of(xy: Integers, t: GridTables) -> Integers:
 def vectors_of(plane: Integers, t: GridTables) -> Integers:
     """Unit vectors (N, 3) of 2.30 in camera axes of tangent-plane positions (N, 2)."""
     return unit(np.column_stack([plane, np.full(len(plane), t.focal)]) << _up(t.focal))
-
-
-def project(matrix: Integers, directions: Integers, t: GridTables) -> tuple[Integers, BoolArray]:
-    """Tangent-plane positions (N, 2) of directions (N, 3) of 2.30 at an attitude (3, 3) of 2.30, and which are less
-    than 45° off-axis along both axes (N,)."""
-    along = (directions @ matrix.T) >> 30
-    depth = along[:, 2]
-    ahead = (depth > 0) & (np.abs(along[:, :2]) <= depth[:, None]).all(axis=1)
-    plane = np.zeros((len(directions), 2), np.int64)
-    plane[ahead] = divide(along[ahead, :2] * t.focal, depth[ahead, None])
-    return plane, ahead
-
-
-def aberrated(directions: Integers, velocity: Integers) -> Integers:
-    """Apparent directions (N, 3) of 2.30 for an observer's velocity over that of light (3,) of 2.30, with components up
-    to `FASTEST`; both in the same axes.
-
-    u' ∝ u/γ + β (1 + u·β / (1 + 1/γ)) (`startracker.observer.aberrate`) with 1/γ = 1 − β²/2, to 2⁻³⁸.
-    """
-    slower = _ONE - ((velocity @ velocity >> 30) >> 1)
-    share = _ONE + ((directions @ velocity >> 30) >> 1)
-    return unit((directions * slower + velocity * share[:, None]) >> 30)
-
-
-def turned(matrix: Integers, angles: Integers) -> Integers | None:
-    """An attitude (3, 3) of 2.30 after small rotations (3,) of 2.30 about the camera's axes; None if too large.
-
-    A rotation vector θ: v → v − θ × v. The rows remain orthogonal unit vectors to rounding.
-    """
-    x, y, z = angles
-    first = matrix[0] + ((z * matrix[1] - y * matrix[2]) >> 30)
-    third = matrix[2] + ((y * matrix[0] - x * matrix[1]) >> 30)
-    if np.abs(third).max() < _LEAST_LENGTH:
-        return None
-    third = unit(third[None])[0]
-    first = first - ((((first @ third) >> 30) * third) >> 30)
-    if np.abs(first).max() < _LEAST_LENGTH:
-        return None
-    first = unit(first[None])[0]
-    second = (third[[1, 2, 0]] * first[[2, 0, 1]] - third[[2, 0, 1]] * first[[1, 2, 0]]) >> 30
-    return np.stack([first, second, third])
-
-
-def quaternion_of(matrix: Integers) -> Integers:
-    """Unit quaternion (4,) of 2.30 of an attitude (3, 3) of 2.30, scalar last and not negative (Shepperd's method)."""
-    m, trace = matrix.tolist(), int(np.trace(matrix))
-    square = [_ONE + 2 * m[k][k] - trace for k in range(3)] + [_ONE + trace]
-    at = 3
-    for k in range(3):
-        if square[k] > square[at]:
-            at = k
-    q = [0, 0, 0, 0]
-    q[at] = square[at]
-    if at == 3:
-        for k in range(3):
-            q[k] = m[(k + 1) % 3][(k + 2) % 3] - m[(k + 2) % 3][(k + 1) % 3]
-    else:
-        after, last = (at + 1) % 3, (at + 2) % 3
-        q[after], q[last] = m[at][after] + m[after][at], m[at][last] + m[last][at]
-        q[3] = m[after][last] - m[last][after]
-    q = [c >> 2 for c in q]
-    sign = -1 if q[3] < 0 else 1
-    return divide(sign * np.array(q) * _ONE, square_root(sum(c * c for c in q)))
 
 
 def _up(focal: int) -> int:

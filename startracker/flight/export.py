@@ -20,17 +20,34 @@ from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants
-from startracker.flight.following import FOLLOWING_MODULES, following_arrays, following_constants, following_tables
-from startracker.flight.front_tables import FRONT_MODULES, front_arrays, front_constants
-from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants
+from startracker.flight.following import (
+    FOLLOWING_MODULES,
+    FollowingTables,
+    following_arrays,
+    following_constants,
+    following_tables,
+)
+from startracker.flight.front_tables import FRONT_MODULES, FrontTables, front_arrays, front_constants, front_tables
+from startracker.flight.pose import POSE_MODULES, PoseTables, pose_arrays, pose_constants, pose_tables
 from startracker.flight.search_export import search_arrays, search_constants, search_modules
-from startracker.flight.solver import SATURATED_PART, FlightTracker
+from startracker.flight.search_tables import SearchTables, search_tables
 from startracker.flight.unit_data import unit_test_data
 from startracker.integer_export import CExport
 
+SATURATED_PART = 20
+"""An unsolved frame with more than one saturated pixel in this many is called saturated (`survey.SATURATED_SHARE`)."""
 _INCLUDE = re.compile(r'^#include "(tracker\w*\.h)"', re.MULTILINE)
 _GENERATED = ("tracker_tables.h", "tracker.h")
 _LICENCE = "/* Copyright (c) 2026, The boresight developers. SPDX-License-Identifier: BSD-3-Clause (see LICENSE). */\n"
+
+
+class FlightTables(NamedTuple):
+    """Tables of all stages of a design."""
+
+    front: FrontTables
+    search: SearchTables
+    pose: PoseTables
+    following: FollowingTables
 
 
 class Part(NamedTuple):
@@ -59,14 +76,25 @@ def flight_export(design: FlightDesign, prefix: str = "tracker") -> CExport:
         A prefix that is not a C identifier; a camera or settings that the integers cannot hold.
     """
     check_prefix(prefix)
-    tracker = FlightTracker.build(design)
-    return assemble(design, flight_parts(tracker), prefix, unit_test_data(tracker))
+    return assemble(design, flight_parts(flight_tables(design)), prefix, unit_test_data(design))
 
 
-def flight_parts(tracker: FlightTracker) -> list[Part]:
-    """What the stages of a tracker give."""
-    front, grid, search, pose = tracker.front_tables, tracker.grid, tracker.search_tables, tracker.pose_tables
-    following = following_tables(tracker.design.motion, tracker.design.tracking)
+def flight_tables(design: FlightDesign) -> FlightTables:
+    """Tables of a design.
+
+    Raises
+    ------
+    InputError
+        For a camera, settings or guide stars that a flight build does not hold.
+    """
+    following = following_tables(design.motion, design.tracking)
+    return FlightTables(front_tables(design), search_tables(design), pose_tables(design), following)
+
+
+def flight_parts(tables: FlightTables) -> list[Part]:
+    """What the stages give."""
+    front, search, pose, following = tables
+    grid = pose.grid
     return [
         Part(FRONT_MODULES, front_constants(front), front_arrays(front)),
         Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),

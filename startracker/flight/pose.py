@@ -1,11 +1,15 @@
-"""Attitude and covariance of a frame from its identified stars, in integers.
+"""Tables of the attitude and covariance of a frame from its identified stars.
 
-The steps are those of `startracker.refine`: all stars of the list that agree with guide stars of the field are matched
-again with the attitude of the identified ones, with gates from the median of the residuals; then the fit of `pose_fit`
-estimates the actual errors, and its gates select the stars of the next fit, until they no longer change. Residuals are
-measured in pixels of the image, through the derivatives of the grid table.
+The steps of the C (`c/tracker_pose.c`) are those of `startracker.refine`: all stars of the list that agree with guide
+stars of the field are matched again with the attitude of the identified ones, with gates from the median of the
+residuals; then the fit (`c/tracker_pose_fit.c`) estimates the actual errors, and its gates select the stars of the next
+fit, until they no longer change. Residuals are measured in pixels of the image, through the derivatives of the grid
+table.
 
-The C source (`c/tracker_pose.c`) performs the same operations in the same order.
+The fit estimates rotation, focal length and shears, averaged over models of their errors. The models, their priors and
+the average are those of `startracker.estimation.pose`: a factor of all variances, a systematic error τ equal for all
+stars, and the camera as calibrated, with a free focal length, or with shears as well. Left out are unequal axes of the
+systematic error and errors that depend on the sub-pixel position.
 """
 
 from __future__ import annotations
@@ -15,45 +19,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray
 from startracker.errors import InputError
+from startracker.estimation.pose import FOCAL_SIGMA, FREE_FOCAL_SIGMA, SHEAR_SIGMA, SYSTEMATIC
 from startracker.fixed_point.c_table import CTable
-from startracker.fixed_point.formats import Integers, divide
+from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import DIRECTION
-from startracker.flight.apparent import FlightObserver, apparent, guide_motion
+from startracker.flight.apparent import guide_motion
 from startracker.flight.design import FlightDesign
-from startracker.flight.directions import (
-    GridTables,
-    grid_tables,
-    plane_of,
-    project,
-    quaternion_of,
-    slopes_of,
-    turned,
-)
-from startracker.flight.pose_fit import GRID, Fit, FitPriors, Stars, fit, fit_priors, median
-from startracker.flight.real import ONE, Real
-from startracker.flight.stars import StarList
+from startracker.flight.directions import GridTables, grid_tables, slopes_of
 
 POSE_MODULES = ("integers", "arithmetic", "linear", "directions", "pose_fit", "pose")
 COVARIANCE_BITS = 60
 """Fraction bits of the covariance, square radians."""
-_MATCH_ROUNDS, _FIT_ROUNDS = 6, 4
-_FEWEST_TO_REJECT = 4
+PRIOR_BITS = 24
+GRID = len(SYSTEMATIC)
+_MODELS, _SIZES = (0.6, 0.3, 0.1), (3, 4, 6)
 _UNKNOWN_PX = 0.15
 """Standard error of a star of unknown error."""
 _MARGIN_PX, _MARGIN_RAD = 3.0, 2.5e-4
 """Guide stars up to this far outside the image may have a centroid on it; plus aberration."""
-_MANY, _LEAST_SCALE2 = 10, 41
-_GATE2 = 3505  # 3.7², 8 fraction bits
-_FREEDOM = 1477  # 1/(2 ln 2), the squared median of a Rayleigh distribution, of 11 fraction bits
-_NEAR = 1 << 20  # 16 px
-_LARGEST_COVARIANCE = 1 << COVARIANCE_BITS  # a square radian
-_LARGEST_RESIDUAL, _LARGEST_COLUMN, _LARGEST_VARIANCE = (1 << 19) - 1, (1 << 16) - 1, 1 << 42
-_LEAST_DETERMINANT = 1 << 31  # 1/2
-_LARGEST_UNKNOWN = 1 << 27  # of 2.30: 0.125
-_LARGEST_SQUARE, _LARGEST_POSITION = 1 << 40, (1 << 31) - 1
 _MOST_FIELD = 250
+
+
+class FitPriors(NamedTuple):
+    """Priors in the units of the columns."""
+
+    information: Integers
+    """1/σ² of focal length and shears in each model, 24 fraction bits, (3, 3)."""
+    model: Integers
+    """log₂ of the prior of each model and of the densities at the centre of its unknowns' priors, 24 fraction bits."""
+    systematic: Integers
+    """log₂ of the prior of each systematic error, 24 fraction bits, (20,)."""
 
 
 class PoseTables(NamedTuple):
@@ -79,38 +75,21 @@ class PoseTables(NamedTuple):
     """Largest number of guide stars that are compared with the stars, the brightest of the field."""
 
 
-class Pose(NamedTuple):
-    """Attitude of one frame.
-
-    Parameters
-    ----------
-    matrix : int array, shape (3, 3)
-        ICRS to camera, 2.30.
-    quaternion : int array, shape (4,)
-        The same, scalar last, 2.30.
-    covariance : int array, shape (3, 3)
-        Of the rotation vector in camera axes, square radians of 60 fraction bits.
-    guide : int array, shape (N,)
-        Guide star of each star that the attitude was fitted to; −1: not used.
-    """
-
-    matrix: Integers
-    quaternion: Integers
-    covariance: Integers
-    guide: Integers
-
-
 def pose_tables(design: FlightDesign) -> PoseTables:
     """Tables of a design.
 
     Raises
     ------
     InputError
-        For a camera with a rolling shutter, or one that `grid_tables` refuses.
+        For a camera with a rolling shutter or a mirrored image, or one that `grid_tables` refuses.
     """
     camera, guide = design.camera, design.guide
     if camera.row_time_s:
         raise InputError("a flight build takes cameras with a global shutter; this one exposes its rows in turn")
+    if camera.parity < 0:
+        raise InputError(
+            "a flight build takes images that are not mirrored; reverse the columns before it, with parity 1"
+        )
     grid = grid_tables(design)
     _check_slopes(grid)
     radius_bits = math.ceil(math.log2(0.5 * math.hypot(camera.width, camera.height)))
@@ -128,6 +107,22 @@ def pose_tables(design: FlightDesign) -> PoseTables:
         round((_MARGIN_PX + _MARGIN_RAD * camera.fx) * 65536.0),
         min(max(60, round(2.5 * share * len(guide)) + 30), _MOST_FIELD),
     )
+
+
+def fit_priors(radius_px: float) -> FitPriors:
+    """Priors for columns in units of a radius."""
+    sigma = np.array(
+        [[FOCAL_SIGMA] + [SHEAR_SIGMA] * 2, [FOCAL_SIGMA] + [SHEAR_SIGMA] * 2, [FREE_FOCAL_SIGMA] + [SHEAR_SIGMA] * 2]
+    )
+    information = 1.0 / (sigma * radius_px) ** 2
+    model = [
+        math.log2(share) + 0.5 * float(np.log2(information[m, : size - 3]).sum())
+        for m, (share, size) in enumerate(zip(_MODELS, _SIZES, strict=True))
+    ]
+    falling = 0.75 ** (0.5 * np.arange(GRID - 1))
+    systematic = np.log2(np.concatenate([[1.0], falling / falling.sum()]))
+    one = float(1 << PRIOR_BITS)
+    return FitPriors(*(np.rint(values * one).astype(np.int64) for values in (information, np.array(model), systematic)))
 
 
 def _check_slopes(grid: GridTables) -> None:
@@ -171,195 +166,3 @@ def pose_arrays(t: PoseTables) -> list[CTable]:
         CTable("int32_t", "pose_model", "log2 of the prior of each model, 24 fraction bits", t.priors.model),
         CTable("int32_t", "pose_systematic", "log2 of the prior of each systematic error", t.priors.systematic),
     ]
-
-
-def solve_pose(
-    stars: StarList, guide: Integers, start: Integers, observer: FlightObserver, t: PoseTables
-) -> Pose | None:
-    """Attitude of identified stars, and of all others that agree.
-
-    Parameters
-    ----------
-    stars : StarList
-        The N stars of the frame.
-    guide : int array, shape (N,)
-        Guide star with which each is identified, −1 for none.
-    start : int array, shape (3, 3)
-        Attitude of the identification, 2.30, right to about eight pixels.
-    observer : FlightObserver
-    t : PoseTables
-
-    Returns
-    -------
-    Pose, or None if fewer than two stars are identified or they determine no attitude to a radian.
-    """
-    seen = _Seen(stars, t)
-    numbers, directions = _field(start, observer, t)
-    position = np.full(len(t.guide), -1)
-    position[numbers] = np.arange(len(numbers))
-    used = np.where((guide >= 0) & seen.usable, position[guide], -1)
-    count = int((used >= 0).sum())
-    if count < 2:
-        return None
-    fewest = min(count, _FEWEST_TO_REJECT)
-    matched = _matched_again(seen, used, directions, start, fewest, t)
-    if matched is None:
-        return None
-    matrix, used = matched
-    found, last = None, used
-    for _ in range(_FIT_ROUNDS):
-        found = fit(_linearised(seen, used, project(matrix, directions, t.grid)[0], seen.variance, t), t.priors, False)
-        after = None if found is None else _stepped(matrix, found, t)
-        if found is None or after is None:
-            return None
-        matrix, last = after, used
-        factor = min(max(found.factor.integer(12), 1), 1 << 20)
-        systematic = min(found.systematic.integer(36), _LARGEST_VARIANCE)
-        variance = ((seen.variance * factor) >> 12) + systematic + 1
-        corrected = np.clip(seen.plane - seen.displacement(found, t), -_LARGEST_POSITION, _LARGEST_POSITION)
-        index, _ = _nearest(seen, corrected, *project(matrix, directions, t.grid), variance, _GATE2)
-        if (index >= 0).sum() < fewest or np.array_equal(index, used):
-            break
-        used = index
-    assert found is not None
-    covariance = _covariance(found, t)
-    if max(np.diag(covariance)) >= _LARGEST_COVARIANCE:
-        return None
-    return Pose(matrix, quaternion_of(matrix), covariance, np.where(last >= 0, numbers[last], -1))
-
-
-class _Seen:
-    """Stars of a frame: positions (N, 2) in the tangent plane, 16 fraction bits; derivatives of these (N, 2, 2), and
-    their inverse; positions from the principal point (N, 2); variances (N,) of 36 fraction bits; which can be used."""
-
-    def __init__(self, stars: StarList, t: PoseTables) -> None:
-        xy = np.column_stack([stars.x, stars.y])
-        self.plane, inside = plane_of(xy, t.grid)
-        self.plane[~inside] = 0
-        self.slopes = slopes_of(np.where(inside[:, None], xy, t.centre), t.grid)
-        a, b, c, d = self.slopes.reshape(-1, 4).T
-        determinant = a * d - b * c
-        self.usable: BoolArray = inside & (determinant >= _LEAST_DETERMINANT)
-        adjugate = np.stack([d, -b, -c, a], axis=1) << 32
-        self.inverse = divide(adjugate, np.where(self.usable, determinant, 1)[:, None]).reshape(-1, 2, 2)
-        self.offset = xy - t.centre
-        own = np.where(stars.variance > 0, stars.variance << 10, t.unknown)
-        self.variance = np.minimum(own + t.floor, _LARGEST_VARIANCE)
-
-    def displacement(self, found: Fit, t: PoseTables) -> Integers:
-        """Displacement (N, 2) in the tangent plane by the camera's unknowns, 16 fraction bits."""
-        unknowns = [found.step[k].scaled(-t.radius_bits).integer(30) for k in range(3, 6)]
-        focal, one, two = (min(max(value, -_LARGEST_UNKNOWN), _LARGEST_UNKNOWN) for value in unknowns)
-        x, y = self.offset.T
-        moved = np.stack([((focal + one) * x + two * y) >> 30, (two * x + (focal - one) * y) >> 30], axis=1)
-        return np.asarray((self.slopes * moved[:, None, :]).sum(axis=2) >> 16)
-
-
-def _field(matrix: Integers, observer: FlightObserver, t: PoseTables) -> tuple[Integers, Integers]:
-    """Guide stars on the image or its border (K,), the brightest, and their apparent directions (K, 3)."""
-    plane, ahead = project(matrix, t.guide, t.grid)
-    on_image = ahead & (np.abs(plane[:, 0]) <= t.grid.half[0] + t.margin)
-    numbers = np.flatnonzero(on_image & (np.abs(plane[:, 1]) <= t.grid.half[1] + t.margin))[: t.most_field]
-    return numbers, apparent(t.guide[numbers], t.motion[numbers], observer)
-
-
-def _matched_again(
-    seen: _Seen, used: Integers, directions: Integers, matrix: Integers, fewest: int, t: PoseTables
-) -> tuple[Integers, Integers] | None:
-    """Attitude and guide star of the field (N,) of each star that agrees with the previous ones, iterated until
-    unchanged; bright stars are given the median variance, as they show systematic errors first."""
-    for _ in range(_MATCH_ROUNDS):
-        wide = np.maximum(seen.variance, median(seen.variance[used >= 0].tolist()))
-        found = fit(_linearised(seen, used, project(matrix, directions, t.grid)[0], wide, t), t.priors, True)
-        after = None if found is None else _stepped(matrix, found, t)
-        if after is None:
-            return None
-        matrix = after
-        predicted, ahead = project(matrix, directions, t.grid)
-        n = int((used >= 0).sum())
-        middle = median(_squares(seen, used, predicted, wide)[used >= 0].tolist())
-        scale2 = middle * 2 * n * _FREEDOM // ((2 * n - 3) << 11)
-        gate = (max(scale2, _LEAST_SCALE2 if n >= _MANY else 256) * _GATE2) >> 8
-        index, _ = _nearest(seen, seen.plane, predicted, ahead, wide, gate)
-        if (index >= 0).sum() < fewest or np.array_equal(index, used):
-            break
-        used = index
-    return matrix, used
-
-
-def _linearised(seen: _Seen, used: Integers, predicted: Integers, variance: Integers, t: PoseTables) -> Stars:
-    """Matched stars as the fit takes them, for the predicted positions (K, 2) of the field."""
-    star = np.flatnonzero(used >= 0)
-    p, inverse, down = predicted[used[star]], seen.inverse[star], t.radius_bits + 2
-    a, b = divide(p << 14, t.grid.focal).T
-    ab, one = (a * b) >> 14, 1 << 14
-    plane = np.empty((len(star), 2, 3), np.int64)
-    plane[:, 0] = np.stack([ab, -one - ((a * a) >> 14), p[:, 1] >> down], axis=1)
-    plane[:, 1] = np.stack([one + ((b * b) >> 14), -ab, -(p[:, 0] >> down)], axis=1)
-    turns = (inverse @ plane) >> 16
-    x, y = (seen.offset[star] >> down).T
-    camera = np.stack([np.stack([x, x, y], axis=1), np.stack([y, -y, x], axis=1)], axis=1)
-    columns = np.clip(np.concatenate([turns, camera], axis=2), -_LARGEST_COLUMN, _LARGEST_COLUMN)
-    residual = _in_pixels(inverse, seen.plane[star] - p)
-    return Stars(columns, np.clip(residual, -_LARGEST_RESIDUAL, _LARGEST_RESIDUAL), variance[star])
-
-
-def _in_pixels(inverse: Integers, away: Integers) -> Integers:
-    """Differences (M, 2) in the tangent plane, converted to pixels by inverse derivatives (M, 2, 2)."""
-    return np.asarray((inverse * away[:, None, :]).sum(axis=2) >> 16)
-
-
-def _squares(seen: _Seen, index: Integers, predicted: Integers, variance: Integers) -> Integers:
-    """Squared distances (N,) of stars from their guide stars over their variances, 8 fraction bits; at most 16 px in
-    the tangent plane count."""
-    away = np.clip(seen.plane - predicted[index], -_NEAR, _NEAR)
-    square = ((_in_pixels(seen.inverse, away) ** 2).sum(axis=1) << 12) // variance
-    return np.asarray(np.minimum(square, _LARGEST_SQUARE))
-
-
-def _nearest(
-    seen: _Seen, plane: Integers, predicted: Integers, ahead: BoolArray, variance: Integers, gate: int
-) -> tuple[Integers, Integers]:
-    """Nearest guide star of the field (K,) of each star (N,) within its gate, one to one, −1 for none; squared distance
-    over variance (N,)."""
-    index, square = np.full(len(plane), -1), np.zeros(len(plane), np.int64)
-    owner = np.full(len(predicted), -1)
-    for n in np.flatnonzero(seen.usable):
-        away = plane[n] - predicted
-        near = np.flatnonzero(ahead & (np.abs(away) <= _NEAR).all(axis=1))
-        if not len(near):
-            continue
-        distance2 = (_in_pixels(seen.inverse[n][None], away[near]) ** 2).sum(axis=1)
-        at, best = near[np.argmin(distance2)], (int(distance2.min()) << 12) // int(variance[n])
-        square[n] = min(best, _LARGEST_SQUARE)
-        if square[n] > gate:
-            continue
-        rival = owner[at]
-        if rival >= 0:
-            if square[rival] <= square[n]:
-                continue
-            index[rival] = -1
-        owner[at], index[n] = n, at
-    return index, square
-
-
-def _scales(t: PoseTables) -> list[Real]:
-    """Radians of a unit of each component of the rotation."""
-    across = ONE / Real(t.grid.focal, -16)
-    return [across, across, Real(1, -t.radius_bits)]
-
-
-def _stepped(matrix: Integers, found: Fit, t: PoseTables) -> Integers | None:
-    """Attitude after the step of a fit; None if it is too large."""
-    angles = [(found.step[k] * scale).integer(30) for k, scale in enumerate(_scales(t))]
-    if max(map(abs, angles)) >= 1 << 27:
-        return None
-    return turned(matrix, np.array(angles))
-
-
-def _covariance(found: Fit, t: PoseTables) -> Integers:
-    scales, made = _scales(t), np.empty((3, 3), dtype=np.int64)
-    for i in range(3):
-        for j in range(i + 1):
-            made[i, j] = made[j, i] = (found.covariance[i][j] * scales[i] * scales[j]).integer(COVARIANCE_BITS)
-    return made

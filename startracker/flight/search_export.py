@@ -6,20 +6,28 @@ import numpy as np
 
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.cordic import STEPS_DEG
-from startracker.flight import (
-    apparent,
-    candidates,
-    hypotheses,
-    search_plan,
-    search_tables,
-    triad_numbers,
-    triads,
-    verifying,
-    votes,
-)
+from startracker.flight import apparent, search_plan, search_tables, triad_numbers
 from startracker.flight.search_tables import SearchTables
 from startracker.flight.triad_numbers import TriadNumbers, triad_constants
 
+GATES = (
+    ((1016064, 254016), (28224, 28224), (3318, 3318)),
+    ((5308416, 1327104), (147456, 147456), (16384, 16384), (3318, 3318)),
+)
+"""Squares of the gates in units of the stated variances, 8 fraction bits, of the first round and of the others: 4.5
+times 14, 7, 7/3 and 0.8 stated errors; 4.5 times 32, 16, 16/3, 16/9 and 0.8."""
+ROUNDS, VERIFICATION_STEPS = 5, 500
+"""Most rounds of a gate; steps of a verification besides those that grow with the numbers of stars."""
+KEPT = 8
+"""Hypotheses that are kept."""
+MOST_CANDIDATES, MOST_OTHERS = 48, 48
+"""Candidates about a pole, and stars that may confirm one."""
+MOST_VOTES, MOST_COUNT = 1024, 255
+"""Votes that there is room for at a time, and that are counted for a guide star."""
+CANDIDATE_STEPS, STAR_STEPS = 30, 60
+"""Of a candidate, and of each star that may confirm it."""
+VOTE_STEPS, TRIAD_STEPS = 3, 300
+"""Of two votes that are compared, and of three sides that agree."""
 _SHARED = ("integers", "directions", "evidence", "verify", "votes", "pair")
 _SOURCES = {"adaptive": ("confirm", "candidates"), "triads": ("cordic", "triads", "triad_votes")}
 
@@ -62,15 +70,15 @@ def search_constants(t: SearchTables) -> dict[str, int]:
         "SEARCH_DENSITY_FLOOR": int(search_tables.FLOOR * (1 << search_tables.DENSITY_BITS)),
         "SEARCH_WIDTHS": len(t.log_scale2),
         "SEARCH_MAGNITUDE_TOLERANCE": t.magnitude_tolerance,
-        "SEARCH_GATES": max(map(len, verifying.GATES)),
+        "SEARCH_GATES": max(map(len, GATES)),
         "SEARCH_ROWS": len(t.searches),
         "SEARCH_QUICK": t.quick,
         "SEARCH_FIXED_ERROR": 0 if t.triads is None else t.triads.fixed,
-        "SEARCH_KEPT": hypotheses.KEPT,
+        "SEARCH_KEPT": KEPT,
         "SEARCH_MOST_NEIGHBOURS": _most_neighbours(t),
-        "SEARCH_MOST_VOTES": votes.MOST_VOTES,
+        "SEARCH_MOST_VOTES": MOST_VOTES,
         "SEARCH_MOST_KEPT": t.most_kept,
-        "SEARCH_MOST_COUNT": votes.MOST_COUNT,
+        "SEARCH_MOST_COUNT": MOST_COUNT,
         "SEARCH_MOST_STEPS": _most_steps(t),
     }
 
@@ -80,7 +88,7 @@ def _adaptive_constants(t: SearchTables) -> dict[str, int]:
         "SEARCH_SIDE_STARS": t.most_stars,
         "SEARCH_CHANCES": t.needed.shape[0],
         "SEARCH_MOST_NEEDED": t.needed.shape[1],
-        "SEARCH_MOST_CANDIDATES": votes.MOST_CANDIDATES,
+        "SEARCH_MOST_CANDIDATES": MOST_CANDIDATES,
     }
 
 
@@ -99,25 +107,30 @@ def _most_steps(t: SearchTables) -> int:
     """
     stars, depth = t.most_stars, t.seeing.shape[1] - 1
     windows = 2 * _most_neighbours(t) * len(t.first)
-    compared = votes.MOST_VOTES * (votes.MOST_COUNT - 1)
-    rounds = verifying.ROUNDS * max(map(len, verifying.GATES))
-    verification = verifying.STEPS + (rounds + 14 * max(map(len, verifying.GATES))) * stars * depth
+    compared = MOST_VOTES * (MOST_COUNT - 1)
+    rounds = ROUNDS * max(map(len, GATES))
+    verification = VERIFICATION_STEPS + (rounds + 14 * max(map(len, GATES))) * stars * depth
     if t.triads is None:
         a_pass = windows + 4 * compared
-        hypothesis = candidates.CANDIDATE_STEPS + candidates.STAR_STEPS * candidates.MOST_OTHERS + verification
+        hypothesis = CANDIDATE_STEPS + STAR_STEPS * MOST_OTHERS + verification
     else:
-        a_pass = windows + (triads.VOTE_STEPS + triads.TRIAD_STEPS) * compared // 2
-        a_pass += triad_numbers.MOST_GROUPS * triads.group_steps(t.triads.room, 0, 0)
-        hypothesis = triads.group_steps(0, t.triads.room, triad_numbers.MOST_NAMED)
+        a_pass = windows + (VOTE_STEPS + TRIAD_STEPS) * compared // 2
+        a_pass += triad_numbers.MOST_GROUPS * _group_steps(t.triads.room, 0, 0)
+        hypothesis = _group_steps(0, t.triads.room, triad_numbers.MOST_NAMED)
         hypothesis += triad_numbers.MOST_CHECKED * verification
     beyond = len(t.guide) + windows + a_pass + hypothesis
     return int(2 * (verification + sum(one.steps + beyond for one in t.searches)))
 
 
+def _group_steps(triads: int, members: int, named: int) -> int:
+    """Steps of the votes of a group."""
+    return (2 * triads + 3 * members * named) >> 3
+
+
 def search_arrays(t: SearchTables) -> list[CTable]:
     """Constant arrays: guide stars, pairs, grid, outline, evidence, searches."""
-    gates = np.zeros((len(verifying.GATES), max(map(len, verifying.GATES)), 2), np.int64)
-    for row, steps in enumerate(verifying.GATES):
+    gates = np.zeros((len(GATES), max(map(len, GATES)), 2), np.int64)
+    for row, steps in enumerate(GATES):
         gates[row, : len(steps)] = steps
     named = [
         ("int32_t", "guide_direction", "guide stars, brightest first: unit vectors of 2.30", t.guide),

@@ -32,7 +32,7 @@ class Search(NamedTuple):
     gate2 : int
         Square of the gate of the confirming stars, in units of the stated variance, 8 fraction bits.
     gates : int
-        Row of `verifying.GATES`.
+        Row of `search_export.GATES`.
     chance : int
         Row of `SearchTables.needed`.
     enough : int

@@ -38,8 +38,6 @@ from startracker.identification_settings import AdaptiveSettings
 DIRECTION_BITS, MAGNITUDE_BITS, DENSITY_BITS, CROWD_BITS, COUNT_BITS = 30, 6, 20, 30, 6
 """Fraction bits of directions, magnitudes, densities of magnitudes, the kernel of the crowding, and of the logarithms
 in the large tables of counts."""
-SQUARE_BITS = 8
-"""Of squared residuals in units of the stated variance."""
 PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD = 0.3, 0.8, 14
 """Largest separation of the pairs, of the field's diagonal; that of pairs of the brightest stars everywhere, so many in
 a circle around the field: if an image has few stars, they are those and far apart."""

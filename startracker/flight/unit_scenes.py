@@ -12,8 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
+from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.flight.apparent import EPOCH_BITS
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import StarList
+from startracker.observer import Observer
 
 VELOCITY = (19000, -14000, 11000)
 """Of the observer over that of light, 2.30: 7.6 km/s."""
@@ -30,6 +33,29 @@ _MOST_SOURCES = 40
 _ONE = float(1 << 30)
 
 
+class UnitField(NamedTuple):
+    """Guide stars in an image, brightest first."""
+
+    attitude: FloatArray
+    """Matrix (3, 3): v_camera = A @ v_icrs."""
+    number: IntArray
+    """Catalogue numbers, (N,)."""
+    v_mag: FloatArray
+    """Magnitudes, (N,)."""
+    xy: FloatArray
+    """Positions (N, 2), px, with aberration of `VELOCITY`, `YEARS` after the epoch of the tables."""
+
+
+class UnitList(NamedTuple):
+    """A list of stars, and what they are."""
+
+    stars: StarList
+    number: IntArray
+    """Catalogue number of each; 0: a false star."""
+    attitude: FloatArray | None
+    """As in `UnitField`; None: there is none, or too few stars tell it."""
+
+
 class UnitScene(NamedTuple):
     """A frame by its numbers."""
 
@@ -38,6 +64,8 @@ class UnitScene(NamedTuple):
     """Positions of the stars in eighths of a pixel, (N,)."""
     flux: IntArray
     """Of the products of two profiles, units of 2⁻³⁰, (N,)."""
+    attitude: FloatArray | None
+    """As in `UnitField`; None: there are no stars."""
 
 
 class SceneNumbers(NamedTuple):
@@ -53,46 +81,47 @@ class SceneNumbers(NamedTuple):
     """Image of a star by eighths of a pixel from its centre, 15 fraction bits."""
 
 
-def field_of(design: FlightDesign, index: int) -> tuple[FloatArray, FloatArray]:
-    """Positions (N, 2) px and magnitudes (N,) of the guide stars of a field near guide star number `index`, brightest
-    first, with aberration of `VELOCITY`."""
+def unit_field(design: FlightDesign, index: int) -> UnitField:
+    """A field near guide star number 37 `index`."""
     rng = np.random.Generator(np.random.PCG64([SEED, index]))
     z = design.guide.directions[37 * index % len(design.guide)] + rng.normal(0.0, 0.05, 3)
     z /= np.linalg.norm(z)
     x = np.cross(z, rng.normal(size=3))
     x /= np.linalg.norm(x)
     attitude = np.array([x, np.cross(z, x), z])
-    if design.camera.parity < 0:
-        attitude[0] *= -1.0
-    seen = design.guide.directions + np.array(VELOCITY) / _ONE
-    seen /= np.linalg.norm(seen, axis=1)[:, None]
+    velocity = np.array(VELOCITY) / _ONE * SPEED_OF_LIGHT_KM_S
+    seen = design.guide.seen_by(Observer(design.guide.epoch_jyear + YEARS / (1 << EPOCH_BITS), velocity)).directions
     vectors = seen @ attitude.T
     near = np.flatnonzero(vectors[:, 2] > math.cos(min(design.camera.half_diagonal_rad * 1.1, 1.5)))
     xy = design.camera.project(vectors[near])
     inside = design.camera.contains(xy, -2.0)
-    return xy[inside], design.guide.v_mag[near[inside]]
+    index_of = near[inside]
+    return UnitField(attitude, design.guide.catalog.id[index_of], design.guide.v_mag[index_of], xy[inside])
 
 
-def unit_lists(design: FlightDesign) -> list[StarList]:
+def unit_lists(design: FlightDesign) -> list[UnitList]:
     """A field; one with stars missing and false stars; its mirror image, which no attitude explains; two stars."""
     most = design.detection.max_stars
     lists = []
     for index in range(_LISTS):
         rng = np.random.Generator(np.random.PCG64([SEED, 1, index]))
-        xy, v_mag = (column[:most] for column in field_of(design, index))
-        xy = xy + rng.normal(0.0, _POSITION_SIGMA_PX, xy.shape)
+        field = unit_field(design, index)
+        number, v_mag = field.number[:most], field.v_mag[:most]
+        xy = field.xy[:most] + rng.normal(0.0, _POSITION_SIGMA_PX, (len(number), 2))
         flux = 4000.0 * 10.0 ** (-0.4 * (v_mag - v_mag.min(initial=9.0)))
         if index == 1:
             kept = rng.random(len(xy)) > 0.2
             size = (design.camera.width - 1.0, design.camera.height - 1.0)
             xy = np.vstack([xy[kept], rng.uniform((0.0, 0.0), size, (3, 2))])
             flux = np.append(flux[kept], rng.choice(flux, 3))
+            number = np.append(number[kept], [0, 0, 0])
         elif index == 2:
             xy = np.column_stack([design.camera.width - 1.0 - xy[:, 0], xy[:, 1]])
         elif index == 3:
-            xy, flux = xy[:2], flux[:2]
+            xy, flux, number = xy[:2], flux[:2], number[:2]
         order = np.argsort(-flux, kind="stable")[:most]
-        lists.append(StarList.of(xy[order], flux[order], np.full(len(order), _POSITION_SIGMA_PX**2)))
+        stars = StarList.of(xy[order], flux[order], np.full(len(order), _POSITION_SIGMA_PX**2))
+        lists.append(UnitList(stars, number[order], field.attitude if index < 2 else None))
     return lists
 
 
@@ -113,13 +142,15 @@ def unit_scenes(design: FlightDesign) -> list[UnitScene]:
     numbers = scene_numbers(design)
     scenes = []
     for index in range(_FRAMES):
-        xy, v_mag = (column[:_MOST_SOURCES] for column in field_of(design, 10 + index))
-        if index == _FRAMES - 1:
+        field = unit_field(design, 10 + index)
+        xy, v_mag = field.xy[:_MOST_SOURCES], field.v_mag[:_MOST_SOURCES]
+        attitude = field.attitude if index < _FRAMES - 1 else None
+        if attitude is None:
             xy, v_mag = xy[:0], v_mag[:0]
         faintest = float(design.guide.v_mag[-1]) - _BRIGHTER_MAG
         peak = NOISE_SHARE * 0.58 * numbers.noise * 10.0 ** (-0.4 * (v_mag - faintest))
         x8, y8 = np.rint(EIGHTHS * xy.T).astype(np.int64)
-        scenes.append(UnitScene(x8, y8, np.rint(peak).astype(np.int64)))
+        scenes.append(UnitScene(x8, y8, np.rint(peak).astype(np.int64), attitude))
     return scenes
 
 

@@ -1,4 +1,4 @@
-"""The flight build: compiled, and the same answers as its integer reference, bit for bit, on every processor."""
+"""The flight build: compiled, the same bits from every compiler and processor, and right answers."""
 
 import re
 import shutil
@@ -24,11 +24,11 @@ from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import FlightProgram, frame_bytes, list_text, parse_answer, velocity_of
 from startracker.flight.design import IDENTIFIERS
 from startracker.flight.export import flight_export
-from startracker.flight.solver import FlightTracker
 from startracker.flight.unit_scenes import SEED, VELOCITY, scene_rows, unit_lists, unit_scenes
 
 pytestmark = pytest.mark.system
 
+FIELDS = 4
 COMPILER_CALLS = {"memset", "memcpy", "memmove"}
 """What a compiler may call for an assignment or a loop."""
 CONTEXT_LIMIT = 64 * 1024
@@ -52,11 +52,6 @@ def design():
 
 
 @pytest.fixture(scope="module")
-def tracker(design):
-    return FlightTracker.build(design)
-
-
-@pytest.fixture(scope="module")
 def program(design, tmp_path_factory):
     return FlightProgram(design, tmp_path_factory.mktemp("c"))
 
@@ -65,38 +60,27 @@ def program(design, tmp_path_factory):
 def frames(design):
     """Rendered frames with the velocity of the observer, and frames that are none."""
     renderer = Renderer(load_scenario(Path("tc211"), ["study.sampling=sky"]))
-    seen = [renderer.frame(index)[0] for index in range(4)]
+    seen = [renderer.frame(index)[0] for index in range(FIELDS)]
     images = [(frame.image, velocity_of(frame.observer.velocity_km_s)) for frame in seen]
     odd = [np.full((165, 192), 300, np.uint16), np.full((165, 192), 65535, np.uint16)]
     odd.append((np.arange(165 * 192).reshape(165, 192) * 7919 % 60000).astype(np.uint16))
     return [*images, *((image, (0, 0, 0)) for image in odd)]
 
 
-def same(answer, expected):
-    """Whether a printed answer is the reference's, to the last bit."""
-    counts = {
-        name: int(getattr(expected, name)) for name in ("stars", "matched", "used", "evidence", "chance", "steps")
-    }
-    counts["contradicted"] = int(expected.prior_contradicted)
-    assert (answer.status, answer.reason) == (str(expected.status), expected.reason.name.lower())
-    assert answer.counts == counts
-    if expected.solved:
-        assert answer.quaternion == tuple(expected.quaternion.tolist())
-        assert answer.covariance == tuple(expected.covariance.ravel().tolist())
-        assert answer.numbers == tuple(expected.number.tolist())
-    else:
-        assert answer.quaternion == answer.covariance == answer.numbers == ()
-    return answer.status
-
-
 @needs_gcc
-def test_frames_bit_for_bit(program, tracker, frames):
-    statuses = [
-        same(program.frames([image], velocity)[0], tracker.solve(image, velocity=velocity))
-        for image, velocity in frames
-    ]
-    assert statuses.count("solved") >= 3
-    assert {"bad_image"} < set(statuses)
+def test_frames_are_solved_or_refused(program, frames):
+    """Attitudes within five of their standard errors of the truth; frames that are none are bad, or without stars."""
+    renderer = Renderer(load_scenario(Path("tc211"), ["study.sampling=sky"]))
+    answers = [program.frames([image], velocity)[0] for image, velocity in frames]
+    solved = 0
+    for index, answer in enumerate(answers[:FIELDS]):
+        if answer.attitude is not None:
+            solved += 1
+            away = renderer.frame(index)[1].attitude.rotation_vector_to(answer.attitude)
+            assert (np.abs(away) < 5.0 * np.sqrt(np.diag(answer.covariance_rad2))).all()
+    assert solved >= 3
+    assert [answer.status for answer in answers[FIELDS : FIELDS + 2]] == ["bad_image"] * 2
+    assert answers[-1].status != "solved"
 
 
 def lists_of(design, count):
@@ -104,28 +88,16 @@ def lists_of(design, count):
     rng = np.random.default_rng(11)
     made = []
     for k in range(count):
-        stars = unit_lists(design)[k % 4]
+        stars = unit_lists(design)[k % 4].stars
         kept = rng.random(len(stars.x)) < (1.0, 0.7, 0.4)[k % 3]
         stars = type(stars)(*(column[kept] for column in stars))
         x, y = (column + rng.normal(0.0, 20000.0 * (k % 2), len(column)).astype(np.int64) for column in stars[:2])
         made.append(stars._replace(x=x, y=y, variance=stars.variance * (k % 5 > 0)))
-    far = unit_lists(design)[0]
+    far = unit_lists(design)[0].stars
     made.append(far._replace(x=far.x + (300 << 16)))
     made.append(far._replace(x=far.x * 0, y=far.y * 0))
     made.append(far._replace(flux=far.flux * 0, variance=far.variance * 0 + (1 << 32) - 1))
     return made
-
-
-@needs_gcc
-def test_lists_bit_for_bit(program, tracker, design):
-    lists = lists_of(design, 24)
-    answers = program.lists([list_text(stars, VELOCITY) for stars in lists])
-    statuses = [
-        same(answer, tracker.solve_stars(stars, velocity=VELOCITY))
-        for answer, stars in zip(answers, lists, strict=True)
-    ]
-    assert statuses.count("solved") >= 4
-    assert {"solved", "too_few_stars", "no_match"} <= set(statuses)
 
 
 @needs_gcc
@@ -167,27 +139,40 @@ def test_command_writes_a_package_that_builds_and_passes_its_tests(tmp_path, ari
     assert version.strip().encode() in (tmp_path / "c" / "solve").read_bytes()
 
 
+def unit_tests(files, folder):
+    """What the unit tests of a package print, and their status."""
+    folder.mkdir()
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    made = subprocess.run(
+        ["make", "-C", str(folder), "CFLAGS=-std=c99", "test"], capture_output=True, text=True, check=False
+    )
+    return made.stdout, made.returncode
+
+
 @needs_gcc
 def test_unit_tests_notice_a_wrong_answer(design, tmp_path):
-    """A threshold of the detection changed by one unit, or a guide star's number, fails them."""
-    export = flight_export(design)
-    for name, old, new in (
-        ("tracker_tables.h", r"(FRONT_THRESHOLD) (\d+)", lambda m: f"{m[1]} {int(m[2]) * 2}"),
+    """A focal length half as large again, or another star, fails them; a threshold 5 % higher changes their digest."""
+    files = flight_export(design).files
+    plain, status = unit_tests(files, tmp_path / "plain")
+    assert status == 0
+    changed = {}
+    for number, (name, old, new) in enumerate(
         (
-            "test_data.h",
-            r"(test_list_answer\[\] = \{\n    \{0, 0, \d+, \d+, \d+, -?\d+, -?\d+, \d+, 0, \{)(\d+)",
-            r"\g<1>1",
-        ),
+            ("tracker_tables.h", r"(GRID_FOCAL) (\d+)", lambda m: f"{m[1]} {int(m[2]) * 3 // 2}"),
+            ("test_data.h", r"(test_number\[\] = \{\n    )\d+", r"\g<1>1"),
+            ("tracker_tables.h", r"(FRONT_THRESHOLD) (\d+)", lambda m: f"{m[1]} {int(m[2]) * 21 // 20}"),
+        )
     ):
-        folder = tmp_path / name
-        folder.mkdir()
-        text, changed = re.subn(old, new, export.files[name], count=1)
-        assert changed
-        for file, content in {**export.files, name: text}.items():
-            (folder / file).write_text(content)
-        made = subprocess.run(["make", "-C", str(folder), "CFLAGS=-std=c99", "test"], capture_output=True, check=False)
-        assert made.returncode != 0
-        assert re.search(rb" [1-9]\d* failed", made.stdout)
+        text, count = re.subn(old, new, files[name], count=1)
+        assert count
+        changed[number] = unit_tests({**files, name: text}, tmp_path / str(number))
+    for number in (0, 1):
+        assert changed[number][1] != 0
+        assert re.search(r" [1-9]\d* failed", changed[number][0])
+    digests = [re.findall(r"frames, 0 failed, digest (\w{8})", said) for said in (plain, changed[2][0])]
+    assert len(digests[0]) == len(digests[1]) == 1
+    assert digests[0] != digests[1]
 
 
 @needs_gcc
@@ -246,7 +231,7 @@ def test_every_processor_gives_the_same_bits(target, arithmetic, identifier, fra
 def test_answers_are_counted_one_by_one(design, tmp_path):
     """The sum over the lists is that of the modules, but for the functions that mark them."""
     program = FlightProgram(design, tmp_path, marked(CORTEX_M4, "tracker"))
-    texts = [list_text(stars, VELOCITY) for stars in unit_lists(design)]
+    texts = [list_text(one.stars, VELOCITY) for one in unit_lists(design)]
     counts = count_instructions(program.build, "".join(texts).encode(), "stars")
     assert len(counts.answers) == 4
     assert counts.answers[3] < min(counts.answers[:3])  # two stars are refused at once
@@ -364,25 +349,22 @@ def test_cmake_builds_and_tests_it(design, tmp_path):
 
 @pytest.mark.slow
 @needs_gcc
-def test_float_is_close_to_the_reference(tracker, frames, tmp_path):
+def test_float_is_close_to_fixed(program, frames, tmp_path):
     """Attitudes of the same stars differ by less than a hundredth of their standard error."""
-    program = FlightProgram(replace(tracker.design, arithmetic="float"), tmp_path)
+    single = FlightProgram(replace(program.design, arithmetic="float"), tmp_path)
     compared = 0
     for image, velocity in frames:
-        expected, answer = tracker.solve(image, velocity=velocity), program.frames([image], velocity)[0]
-        assert (answer.status, answer.numbers) == (
-            str(expected.status),
-            tuple(expected.number.tolist()) * expected.solved,
-        )
-        if expected.solved:
+        expected, answer = (one.frames([image], velocity)[0] for one in (program, single))
+        assert (answer.status, answer.numbers) == (expected.status, expected.numbers)
+        if expected.attitude is not None:
             turn = 2.0 * (np.array(answer.quaternion) - expected.quaternion) / (1 << 30)
             assert np.linalg.norm(turn) < 0.01 * np.sqrt(np.trace(expected.covariance_rad2)) + 4.0 / (1 << 30)
             compared += 1
     assert compared >= 3
 
 
-def test_scenes_are_made_alike_in_c_and_python(design):
-    """Answers of the unit tests depend on every pixel: their scenes hold stars and noise, and one is blank."""
+def test_scenes_of_the_unit_tests(design):
+    """They hold stars and noise, and one is blank."""
     scenes = unit_scenes(design)
     assert [len(scene.x8) > 3 for scene in scenes] == [True, True, False]
     assert scene_rows(design, scenes[0], SEED).max() <= design.detector.saturation_dn

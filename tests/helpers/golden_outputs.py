@@ -231,50 +231,25 @@ def integer_export_files() -> dict[str, str]:
 
 
 def flight() -> Outputs:
-    """Answers of the flight build after every stage, for three cameras, each arithmetic and identifier."""
-    from simulator.checks import load_scenario
-    from simulator.study.flight.design import flight_design
-
+    """Answers of the compiled flight build after each stage, for three cameras, each arithmetic and identifier."""
     found: Outputs = {}
     for name in FLIGHT_CAMERAS:
         for arithmetic, identifier in flight_kinds():
-            design = flight_design(load_scenario(Path(name)), arithmetic, identifier)
-            found |= prefixed(f"{name}/{arithmetic}/{identifier}", flight_answers(design))
+            found |= flight_answers(name, arithmetic, identifier)
     return found
 
 
-def flight_answers(design: Any) -> Outputs:
-    """Stars measured in frames; answers to frames and lists; states of the filter after a list each second."""
-    from startracker.flight.following import following_tables
-    from startracker.flight.front_end import measure_frame
-    from startracker.flight.session import FlightSession
-    from startracker.flight.solver import FlightTracker
-    from startracker.flight.unit_scenes import SEED, VELOCITY, scene_rows, unit_lists, unit_scenes
+def flight_answers(camera: str, arithmetic: str, identifier: str, cache: Path | None = None) -> Outputs:
+    """Those of one build; its library is kept in a folder, by default that of all of them."""
+    from simulator.checks import load_scenario
+    from simulator.study.flight.design import flight_design
+    from simulator.study.flight.library import FlightLibrary, compiled_library
+    from tests.helpers.flight_answers import answers_of
 
-    tracker = FlightTracker.build(design)
-    frames = [scene_rows(design, scene, SEED + n).astype(np.uint16) for n, scene in enumerate(unit_scenes(design))]
-    stars, answers = unit_lists(design), {}
-    stages: dict[str, list[Any]] = {
-        "measured": [measure_frame(frame, tracker.front_tables) for frame in frames],
-        "frames": [tracker.solve(frame, velocity=VELOCITY) for frame in frames],
-        "lists": [tracker.solve_stars(one, velocity=VELOCITY) for one in stars],
-    }
-    session = FlightSession(tracker, following_tables(design.motion, design.tracking))
-    stages["session"] = [session.update_stars(stars[k % 2], 1_000_000 * k) for k in range(6)]
-    for stage, rows in stages.items():
-        answers[stage] = text_rows([f"{k}: {line}" for k, row in enumerate(rows) for line in _lines("", row)])
-    return answers
-
-
-def _lines(name: str, value: Any) -> list[str]:
-    """Members of nested named tuples with their integers, a line each; long arrays as digests."""
-    if hasattr(value, "_fields"):
-        return [line for key in value._fields for line in _lines(f"{name}.{key}", getattr(value, key))]
-    if isinstance(value, np.ndarray):
-        integers = value.ravel().astype(np.int64)
-        text = " ".join(map(str, integers)) if len(integers) <= 9 else digest(integers.tobytes())
-        return [f"{name} {value.shape} {text}"]
-    return [f"{name} {value}"]
+    design = flight_design(load_scenario(Path(camera)), arithmetic, identifier)
+    stages = answers_of(design, FlightLibrary(compiled_library(design, cache)))
+    lines = {stage: text_rows(lines) for stage, lines in stages.items()}
+    return prefixed(f"{camera}/{arithmetic}/{identifier}", lines)
 
 
 GROUPS: dict[str, Callable[[], Outputs]] = {

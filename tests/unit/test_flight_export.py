@@ -15,10 +15,9 @@ from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import list_text, parse_answer, velocity_of
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
-from startracker.flight.export import Part, assemble, flight_export, flight_parts
-from startracker.flight.solver import FlightTracker
+from startracker.flight.export import Part, assemble, flight_export, flight_parts, flight_tables
 from startracker.flight.stars import StarList
-from startracker.flight.unit_scenes import SEED, field_of, scene_numbers, scene_rows, unit_scenes
+from startracker.flight.unit_scenes import SEED, scene_numbers, scene_rows, unit_field, unit_scenes
 from startracker.geometry.camera import Camera
 
 pytestmark = pytest.mark.system
@@ -84,7 +83,7 @@ def test_the_version_is_of_the_tables(design, export):
     version = re.search(r'vega_1_version\[(\d+)\] = "([^"]+)"', export.files["vega_1_tables.c"])
     assert int(version[1]) == len(version[2]) + 1
     assert f"scenario tc211 {design.digest[:16]}; fixed; adaptive; tables " in version[2]
-    parts = flight_parts(FlightTracker.build(design))
+    parts = flight_parts(flight_tables(design))
     assert version[2] in assemble(design, parts, "other", "").files["other_tables.c"]
     parts[0].arrays[0] = CTable(*list(vars(parts[0].arrays[0]).values())[:3], parts[0].arrays[0].values + 1)
     assert version[2] not in assemble(design, parts, "other", "").files["other_tables.c"]
@@ -163,6 +162,6 @@ def test_scenes_of_the_unit_tests(design):
     frame = scene_rows(design, scene, SEED)
     brightest = np.unravel_index(np.argmax(frame), frame.shape)
     assert min(np.hypot(scene.x8 / 8 - brightest[1], scene.y8 / 8 - brightest[0])) < 1.0
-    xy, v_mag = field_of(design, 10)
-    assert (np.diff(v_mag) >= 0).all()
-    assert design.camera.contains(xy).all()
+    field = unit_field(design, 10)
+    assert (np.diff(field.v_mag) >= 0).all()
+    assert design.camera.contains(field.xy).all()

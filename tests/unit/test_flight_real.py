@@ -1,22 +1,21 @@
-"""Real numbers of the flight build: integers and single precision in C beside Python's floats."""
+"""Real numbers of the flight build, integers and single precision, beside exact ones."""
 
 import ctypes
 import math
 import shutil
+from fractions import Fraction
 
 import numpy as np
 import pytest
 from flight_c import SANITIZED, Real, library
 
 from simulator.randomness import stream
-from startracker.flight.real import Real as Number
-from startracker.flight.real import arctangent, log2, power_of_2
 
 pytestmark = pytest.mark.system
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
-BINARY = {"add": "__add__", "times": "__mul__", "over": "__truediv__"}
-UNARY = {"real_root": Number.root, "log2": log2, "power_of_2": power_of_2}
+BINARY = ("add", "times", "over")
+UNARY = ("real_root", "log2", "power_of_2")
 
 
 @pytest.fixture(scope="module")
@@ -40,64 +39,52 @@ def floats(tmp_path_factory):
     return lib
 
 
-def passed(x):
-    return Real(x.m, x.e)
+def exact(x):
+    """A number as a fraction; of a mantissa of 31 bits, or zero."""
+    assert x.m == 0 or 1 << 30 <= abs(x.m) < 1 << 31
+    return Fraction(x.m) * Fraction(2) ** x.e
 
 
-def same(c, python):
-    return (c.m, c.e) == (python.m, python.e)
-
-
-def numbers(rng, count):
-    """Numbers of all sizes, with zeros, powers of two, the longest mantissas and near neighbours."""
+def numbers(integers, rng, count):
+    """Numbers of all sizes, with zeros, powers of two, the longest mantissas."""
     mantissa = rng.integers(-(1 << 62), 1 << 62, count)
     kind = rng.integers(0, 8, count)
     mantissa[kind == 0] = 0
     mantissa[kind == 1] = (1 << 31) - 1
     mantissa[kind == 2] = -(1 << 30)
-    return [Number(int(m), int(e)) for m, e in zip(mantissa, rng.integers(-120, 60, count), strict=True)]
+    return [
+        integers.tracker_real_of(m, int(e))
+        for m, e in zip(mantissa.tolist(), rng.integers(-120, 60, count), strict=True)
+    ]
 
 
 @needs_gcc
-def test_integers_of_c_and_python_are_the_same_bits(integers):
-    rng = stream(1, "real")
-    first, second = numbers(rng, 10_000), numbers(rng, 10_000)
-    for k, (a, b) in enumerate(zip(first, second, strict=True)):
-        near = Number(-a.m + k % 3, a.e) if k % 4 == 0 and a.m else b
-        for name, method in BINARY.items():
-            assert same(getattr(integers, f"tracker_{name}")(passed(a), passed(near)), getattr(a, method)(near)), (a, b)
-        bits = int(rng.integers(-40, 120))
-        assert integers.tracker_integer_of(passed(a), bits) == a.integer(bits)
-        size = Number(abs(a.m), a.e)
-        assert same(integers.tracker_real_root(passed(a)), a.root())
-        if a.m and k < 2000:
-            assert same(integers.tracker_log2(passed(size)), log2(size))
-            small = Number(a.m, int(rng.integers(-60, -25)))
-            assert same(integers.tracker_power_of_2(passed(small)), power_of_2(small))
-            other = Number(abs(b.m), b.e)
-            assert same(integers.tracker_arctangent(passed(other), passed(size)), arctangent(other, size))
-
-
-def test_integer_arithmetic_against_exact_numbers():
+def test_integer_arithmetic_against_exact_numbers(integers):
     """Sums, products, quotients and roots to 2⁻³⁰, a truncated unit of the mantissa; functions to 1e-8, a few units and
-    the next term of their series."""
-    rng = stream(2, "real")
-    for a, b in zip(numbers(rng, 3000), numbers(rng, 3000), strict=True):
-        x, y = float(a), float(b)
-        assert float(a * b) == pytest.approx(x * y, rel=2.0**-30, abs=0.0)
-        assert abs(float(a + b) - (x + y)) <= 2.0**-30 * max(abs(x), abs(y), abs(x + y))
-        if y:
-            assert float(a / b) == pytest.approx(x / y, rel=2.0**-30, abs=0.0)
-            assert (a < b) == (x < y)
-            assert float(log2(Number(abs(b.m), b.e))) == pytest.approx(math.log2(abs(y)), rel=3e-9, abs=3e-9)
-            assert float(arctangent(Number(abs(a.m), a.e), Number(abs(b.m), b.e))) == pytest.approx(
-                math.atan2(abs(x), abs(y)), rel=1e-8, abs=1e-30
-            )
-        assert float(Number(abs(a.m), a.e).root()) == pytest.approx(math.sqrt(abs(x)), rel=2.0**-29, abs=0.0)
-    for x in rng.uniform(-60.0, 60.0, 1000):
-        assert float(power_of_2(Number(int(x * 2**24), -24))) == pytest.approx(
-            2.0 ** (int(x * 2**24) / 2**24), rel=1e-8
-        )
+    the next term of their series. Every fourth sum is a difference of close numbers."""
+    rng, unit = stream(2, "real"), Fraction(1, 1 << 30)
+    for k, (a, b) in enumerate(zip(numbers(integers, rng, 5000), numbers(integers, rng, 5000), strict=True)):
+        other = Real(-a.m + (k % 3) * (abs(a.m) < (1 << 31) - 2), a.e) if k % 4 == 0 and abs(a.m) > 1 << 30 else b
+        x, y, z = exact(a), exact(b), exact(other)
+        total, product = exact(integers.tracker_add(a, other)), exact(integers.tracker_times(a, b))
+        assert abs(total - (x + z)) <= unit * max(abs(x), abs(z), abs(x + z))
+        assert abs(product - x * y) <= unit * abs(x * y)
+        bits = int(rng.integers(-40, 120))
+        scaled = x * Fraction(2) ** bits
+        if abs(scaled) < 1 << 61:  # of a larger one it is 2⁶²
+            assert abs(integers.tracker_integer_of(a, bits) - scaled) <= Fraction(1, 2)
+        root = exact(integers.tracker_real_root(Real(abs(a.m), a.e)))
+        assert abs(root**2 - abs(x)) <= 4 * unit * abs(x)
+        assert integers.tracker_real_root(Real(-abs(a.m), a.e)).m == 0
+        if b.m:
+            assert abs(exact(integers.tracker_over(a, b)) - x / y) <= unit * abs(x / y)
+            size, top = Real(abs(b.m), b.e), Real(abs(a.m), a.e)
+            logarithm, angle = integers.tracker_log2(size), integers.tracker_arctangent(top, size)
+            assert float(exact(logarithm)) == pytest.approx(math.log2(abs(y)), rel=3e-9, abs=3e-9)
+            assert float(exact(angle)) == pytest.approx(math.atan2(abs(x), abs(y)), rel=1e-8, abs=1e-30)
+    for n in rng.integers(-60 << 24, 60 << 24, 1000).tolist():
+        power = integers.tracker_power_of_2(integers.tracker_real_of(n, -24))
+        assert float(exact(power)) == pytest.approx(2.0 ** (n / 2**24), rel=1e-8)
 
 
 @needs_gcc

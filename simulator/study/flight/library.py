@@ -31,9 +31,8 @@ from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.cache import folder
 from startracker.errors import InputError
 from startracker.flight.design import FlightDesign
-from startracker.flight.export import assemble, flight_parts
-from startracker.flight.hypotheses import Reason
-from startracker.flight.solver import FlightTracker
+from startracker.flight.export import assemble, flight_parts, flight_tables
+from startracker.flight.reasons import Reason
 from startracker.flight.stars import StarList
 from startracker.solution import Status
 
@@ -79,7 +78,7 @@ def cache_folder() -> Path:
 
 def library_sources(design: FlightDesign) -> dict[str, str]:
     """Sources of the library of a design, by file name: those of the export without its tests, and ``library.c``."""
-    export = assemble(design, flight_parts(FlightTracker.build(design)), "tracker", "")
+    export = assemble(design, flight_parts(flight_tables(design)), "tracker", "")
     kept = {name: text for name, text in export.files.items() if name.startswith("tracker")}
     return kept | {"library.c": (files("simulator.study.flight") / "library.c").read_text("utf-8")}
 
@@ -213,16 +212,16 @@ class FlightLibrary:
         self._c.library_forget(self._memory)
 
     def predict(self, time_us: int, gyro: Sequence[int] | None = None) -> tuple[int, tuple[int, ...]]:
-        """Whether the time can be used, and the prior of its frame: arguments and results of
-        `startracker.flight.following.Following.predict`."""
+        """Whether the time can be used, and the prior of its frame: the rate
+        of a gyro is in rad/s of 2.30; the first result is `startracker.flight.following.TIME_GOOD` or another."""
         prior = np.zeros(_PRIOR, np.int64)
         rate = None if gyro is None else (ctypes.c_int32 * 3)(*gyro)
         time = self._c.library_predict(self._memory, ctypes.c_int64(time_us), rate, _pointer(prior))
         return int(time), tuple(prior.tolist())
 
     def take(self) -> int:
-        """Give the last answer to the filter: result of `startracker.flight.following.Following.update`. The answer is
-        the filter's unless it was rejected."""
+        """Give the last answer to the filter: `startracker.flight.following.USED` or another. The answer is the
+        filter's unless it was rejected."""
         return int(self._c.library_take(self._memory))
 
     def filter(self) -> FilterState | None:

@@ -1,4 +1,7 @@
-/* Real numbers in integers, or in single precision: see tracker_arithmetic.h and startracker/flight/real.py. */
+/* Real numbers in integers, or in single precision: see tracker_arithmetic.h.
+ *
+ * The attitude's normal equations and the filter's covariances span many decades; a mantissa of 31 bits and an exponent
+ * hold them without a scale for each. Every result is truncated. */
 #include "tracker_arithmetic.h"
 
 #define BITS 31

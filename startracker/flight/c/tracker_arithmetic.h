@@ -4,8 +4,7 @@
  * tracker_real      float                              31-bit mantissa and exponent in integers, truncated
  *
  * Both have no library call. The float version takes roots by Newton's method and functions by polynomials; it needs
- * IEEE single precision in every step (FLT_EVAL_METHOD 0, -ffp-contract=off), so that all processors give the same bits.
- * The integer version gives those of startracker/flight/real.py. */
+ * IEEE single precision in every step (FLT_EVAL_METHOD 0, -ffp-contract=off), so that all processors give the same bits. */
 #ifndef TRACKER_ARITHMETIC_H
 #define TRACKER_ARITHMETIC_H
 

@@ -1,4 +1,5 @@
-/* Attitude filter: the same operations in the same order as startracker/flight/attitude_filter.py, which explains them. */
+/* Attitude filter: propagation at a constant rate, and correction, by the equations of
+ * startracker/tracking/kinematics.py. Angles are in units of 2^-20 rad, rates in units per second. */
 #include "tracker_attitude_filter.h"
 
 #define ONE ((int64_t)1 << 30)

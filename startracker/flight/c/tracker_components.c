@@ -2,8 +2,8 @@
 #include "tracker_front_internal.h"
 
 #define SLOTS (2 * TRACKER_FRONT_RUNS)
-#define LONG_SIDE 9
-#define LONG_VARIANCE (6 << 8)
+#define LONG_SIDE 9           /* without saturated pixels, no larger box is beyond a stamp */
+#define LONG_VARIANCE (6 << 8) /* along the major axis, square pixels, 8 fraction bits: more does not fit in a stamp */
 
 static uint16_t root_of(const struct tracker_front_rows *rows, uint16_t component)
 {

@@ -1,4 +1,8 @@
-/* Directions: the same operations in the same order as startracker/flight/directions.py, which explains them. */
+/* Directions of star images, positions in the tangent plane, and aberration.
+ *
+ * A table holds the tangent-plane position of a grid of pixels, for whatever projection and distortion the camera has;
+ * between them it is interpolated by cubic polynomials through four nodes in each direction. The plane touches the sphere
+ * at the camera's axis z: (u, v) = F (X/Z, Y/Z), with F the focal length along the columns for both axes. */
 #include "tracker_directions.h"
 
 #include "tracker_integers.h"

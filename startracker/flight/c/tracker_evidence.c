@@ -1,15 +1,19 @@
-/* Evidence of a match against chance, never too large: the same operations as startracker/flight/evidence.py, which explains
- * them. */
+/* Evidence of a match against chance: the Bayes factor of startracker/identification/bayes_factor.py, never too large.
+ *
+ * log2 B has 12 fraction bits. Every star has its own stated variance; the widths, magnitudes, missing and false stars are
+ * averaged over as in floating point, and the crowding of the observed stars lowers the evidence
+ * (startracker/identification/clustering_null.py). Each table, logarithm and sum is rounded to the side on which B is
+ * smaller. */
 #include "tracker_integers.h"
 #include "tracker_search.h"
 
 #define ONE 4096
 #define LOG_BITS 12
-#define LOG_UP 24
-#define LOG_TWO_PI 10861
+#define LOG_UP 24        /* largest error of tracker_log_down: 4096 log2(1 + 1/256), rounded up */
+#define LOG_TWO_PI 10861 /* log2 of 2 pi, rounded up */
 #define SUM_STEP 6
 #define EXTENT_SHIFT 4
-#define CROWD_WIDTHS 8
+#define CROWD_WIDTHS 8   /* each half of the one before */
 #define CROWD_BITS 30
 #define SCATTERS 2
 #define SAMPLE 24

@@ -7,11 +7,11 @@
 #define NODES 8
 #define NEIGHBOUR 10 /* pixels along each axis within which the light of another star is subtracted */
 #define LONGEST_STEP (1 << 15)
-#define FARTHEST (5 << 15)
-#define CONVERGED (1 << 11)
+#define FARTHEST (5 << 15)  /* from the middle of the stamp, 16 fraction bits */
+#define CONVERGED (1 << 11) /* longest last step, 16 fraction bits: the next is far shorter */
 #define LEAST_FLUX 16
 #define MOST_FLUX (1 << 28)
-#define HOT_ODDS (9 << 8)
+#define HOT_ODDS (9 << 8)   /* twice the logarithm of the odds of a star against a hot pixel: 10 stars a hot pixel, 10 times */
 #define MOST (((int64_t)1 << 62) - 1)
 
 /* What a fit knows of its star. */

@@ -1,4 +1,9 @@
-/* Tracking: the same operations in the same order as startracker/flight/following.py, which explains them. */
+/* Tracking from frame to frame: prediction of the next attitude, and filter of the measured ones.
+ *
+ * The filter is that of startracker/tracking/mekf.py, with attitudes as measurements: the error of the attitude and the
+ * rate, or the bias of a gyro, under white angular acceleration; its innovations are monitored as in
+ * startracker/tracking/consistency.py. An attitude that contradicts the prediction is rejected once; if the next one does
+ * so as well, the filter restarts from it. Angles are in units of 2^-20 rad (0.2 arcsec). */
 #include "tracker_following.h"
 
 #include "tracker_attitude_filter.h"
@@ -12,8 +17,8 @@
 #define LARGEST_FACTOR 100000000
 #define RAISE 10
 #define PRIOR_SIGMAS 5
-#define LEAST_RADIUS 468509
-#define USELESS 1647099
+#define LEAST_RADIUS 468509 /* 0.1 degrees */
+#define USELESS 1647099     /* pi / 2 */
 #define LONGEST_US 100000000000LL
 #define LEAST_STEP_US 1000
 #define MOST_REJECTED 1

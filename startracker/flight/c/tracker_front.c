@@ -1,4 +1,16 @@
-/* A frame from its first row to the list of its stars. */
+/* A frame from its first row to the list of its stars.
+ *
+ * 1. tracker_background.c, tracker_hot_pixels.c, tracker_rows.c: background and noise of tiles of 4 rows, followed along the
+ *    frame; hot pixels are bridged; a separable matched filter; pixels above the threshold; of their local maxima the
+ *    highest, with a stamp of 11 x 11 pixels each. Left out are those that no star is as sharp as, and those whose stamp is
+ *    bright along its border.
+ * 2. tracker_components.c: components of the pixels above, of which those are kept that no stamp holds: with saturated
+ *    pixels, longer than a stamp, or larger than any star.
+ * 3. tracker_stamps.c: second moments; the motion that the images of all stars share.
+ * 4. tracker_fit.c: position, flux and variance of each star by maximum likelihood.
+ * 5. Saturated stars and trails join the list by their first moments.
+ * 6. tracker_trails.c, tracker_trail_fit.c, tracker_motion.c: where the first candidates are long, components above half the
+ *    threshold are fitted as lines, and those of one motion are the stars. */
 #include "tracker_front_internal.h"
 
 #define LAG TRACKER_FRONT_LAG

@@ -1,4 +1,4 @@
-/* Small systems of linear equations: the same operations in the same order as startracker/flight/linear.py. */
+/* Small systems of linear equations, by Cholesky's factors. */
 #include "tracker_linear.h"
 
 #define COUNT TRACKER_LARGEST_SYSTEM

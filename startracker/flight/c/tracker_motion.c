@@ -1,8 +1,8 @@
 /* The motion that the trails of a frame share. */
 #include "tracker_front_internal.h"
 
-#define FEWEST_AGREEING 4
-#define FEWEST_TURNED 8
+#define FEWEST_AGREEING 4 /* trails that make a motion, */
+#define FEWEST_TURNED 8   /* and that show whether the camera turns about its boresight */
 #define ROUNDS 3
 #define FASTEST_TURN ((int64_t)1 << 26)
 

@@ -1,4 +1,4 @@
-/* Attitudes of pairs of stars, and gates: the same operations as startracker/flight/hypotheses.py, which explains them. */
+/* Attitudes of pairs of stars, and gates, by the rules of startracker/identification/hypothesis.py. */
 #include "tracker_integers.h"
 #include "tracker_search.h"
 

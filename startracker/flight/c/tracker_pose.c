@@ -1,4 +1,9 @@
-/* Attitude of a frame: the same operations in the same order as startracker/flight/pose.py, which explains them. */
+/* Attitude and covariance of a frame from its identified stars.
+ *
+ * The steps are those of startracker/refine.py: all stars of the list that agree with guide stars of the field are matched
+ * again with the attitude of the identified ones, with gates from the median of the residuals; then the fit of
+ * tracker_pose_fit.c estimates the actual errors, and its gates select the stars of the next fit, until they no longer
+ * change. Residuals are measured in pixels of the image, through the derivatives of the grid table. */
 #include "tracker_pose.h"
 
 #include "tracker_directions.h"
@@ -9,15 +14,15 @@
 #define FEWEST_TO_REJECT 4
 #define MANY 10
 #define LEAST_SCALE2 41
-#define GATE2 3505
-#define FREEDOM 1477
-#define NEAR (1 << 20)
+#define GATE2 3505      /* 3.7^2, 8 fraction bits */
+#define FREEDOM 1477    /* 1 / (2 ln 2), the squared median of a Rayleigh distribution, 11 fraction bits */
+#define NEAR (1 << 20)  /* 16 px */
 #define LARGEST_RESIDUAL ((1 << 19) - 1)
 #define LARGEST_COLUMN ((1 << 16) - 1)
 #define LARGEST_VARIANCE ((int64_t)1 << 42)
 #define LARGEST_ANGLE ((int64_t)1 << 27)
-#define LEAST_DETERMINANT ((int64_t)1 << 31)
-#define LARGEST_UNKNOWN ((int64_t)1 << 27)
+#define LEAST_DETERMINANT ((int64_t)1 << 31) /* 1/2 */
+#define LARGEST_UNKNOWN ((int64_t)1 << 27)   /* of 2.30: 0.125 */
 #define LARGEST_SQUARE ((int64_t)1 << 40)
 #define COLUMN_ONE 16384
 #define DOWN (TRACKER_POSE_RADIUS_BITS + 2)

@@ -1,4 +1,9 @@
-/* Fit of matched stars: the same operations in the same order as startracker/flight/pose_fit.py, which explains them. */
+/* Fit of matched stars: rotation, focal length and shears, averaged over models of their errors.
+ *
+ * The model, its priors and the average are those of startracker/estimation/pose.py: a factor of all variances, a
+ * systematic error tau equal for all stars, and the camera as calibrated, with a free focal length, or with shears as well.
+ * Left out are unequal axes of the systematic error and errors that depend on the sub-pixel position. Sums over stars are
+ * exact in 64 bits; small systems of equations are solved in real numbers. */
 #include "tracker_pose_fit.h"
 
 #include "tracker_tables.h"
@@ -9,7 +14,7 @@
 #define VARIANCE_BITS 36
 #define WEIGHT_BITS 20
 #define PRIOR_BITS 24
-#define SYSTEMATIC_SHARE 41943
+#define SYSTEMATIC_SHARE 41943 /* 0.04, the square of the first tau, 20 fraction bits */
 #define TRUSTED 20
 #define LONGEST ((int64_t)1 << 42)
 #define NEGLIGIBLE ((int64_t)60 << PRIOR_BITS)

@@ -13,7 +13,7 @@ struct tracker_pose_star {
     int64_t variance;                          /* on one axis, square pixels of 36 fraction bits, below 2^43 */
 };
 
-/* Result, in the units of the columns: see startracker/flight/pose_fit.py. */
+/* Result, in the units of the columns. */
 struct tracker_pose_fit {
     tracker_real step[TRACKER_POSE_UNKNOWNS];
     tracker_real covariance[3][3]; /* of the first three */

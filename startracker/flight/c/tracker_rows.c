@@ -4,7 +4,7 @@
 #define REACH TRACKER_FRONT_REACH
 #define SIDE TRACKER_FRONT_SIDE
 #define HALF TRACKER_FRONT_HALF
-#define CORE 2
+#define CORE 2 /* half side of the pixels of which not all may be saturated: too little is left for a fit */
 
 /* ------------------------------------------------------------------ matched filter */
 

@@ -1,5 +1,7 @@
-/* Identification: searches for hypotheses, acceptance; the same operations as startracker/flight/search.py and
- * hypotheses.py, which explain them. */
+/* Identification: searches for hypotheses, the strongest first, and their acceptance.
+ *
+ * The rules are those of startracker/identification/adaptive.py and hypothesis.py. Whatever makes the hypotheses
+ * (tracker_candidates.c, tracker_triads.c) gives attitudes to tracker_try_attitude. */
 #include "tracker_search.h"
 
 #include "tracker_integers.h"
@@ -8,16 +10,18 @@
 #define UNIT_TOLERANCE ((int64_t)1 << 20)
 #define LOG_BITS 12
 #define LOG_UP 24
+/* Squares of 0.15, 0.1 and 5 pixels, 16 fraction bits: of centroids without a stated error; added to the stated ones; beyond
+ * which a centroid is not used. */
 #define STATED_VARIANCE 1475
 #define FLOOR_VARIANCE 656
 #define WORST_VARIANCE ((int64_t)25 << 16)
-#define MAGNITUDE_FACTOR 24660
+#define MAGNITUDE_FACTOR 24660  /* 2.5 log10(2), in units of 2^-6 magnitudes per 2^-12 of log2 of the flux */
 #define MAGNITUDE_SHIFT 21
-#define LEAST_EVIDENCE (-29545)
-#define RIVALS_BEYOND 29547
-#define AS_STATED 3
-#define LOG_SIX_PI 17352
-#define MOST_VARIANCE ((int64_t)1 << 46)
+#define LEAST_EVIDENCE (-29545) /* log2 e^-5 */
+#define RIVALS_BEYOND 29547     /* 5 / ln 2: margin with which a field that fits the stated errors is not searched further */
+#define AS_STATED 3             /* number of the width 2.2 */
+#define LOG_SIX_PI 17352        /* rounded down */
+#define MOST_VARIANCE ((int64_t)1 << 46) /* of a direction on one axis, 2^-60 rad^2: the square of half a degree */
 #define ONE_RADIAN ((int64_t)1 << 28)
 #define PRIOR_SIGMAS2 3969
 

@@ -8,7 +8,7 @@
 #include "tracker_types.h"
 
 #define TRACKER_SEARCH_SIDES (TRACKER_SEARCH_SIDE_STARS * (TRACKER_SEARCH_SIDE_STARS - 1) / 2)
-#define TRACKER_SURE_BEYOND 88640 /* margin beyond which no other attitude can compete, log2, 12 fraction bits */
+#define TRACKER_SURE_BEYOND 88640 /* 15 / ln 2: margin beyond which no other attitude can compete, log2, 12 fraction bits */
 #define TRACKER_SEARCH_NEVER (-((int64_t)1 << 28)) /* log2 of zero, 12 fraction bits */
 
 /* An attitude that explains stars, with its evidence. */

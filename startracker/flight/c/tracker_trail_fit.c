@@ -7,7 +7,7 @@
 #define SHORTEST (3 << 16)
 #define LONG (5 << 16)         /* least length of a component that is fitted */
 #define LONGEST (60 << 16)
-#define STEP (1 << 16)
+#define STEP (1 << 16)         /* longest steps of the middle, the length (px) and the direction (rad) */
 #define STRETCH (4 << 16)
 #define TURN 6554
 #define AWAY (8 << 16)
@@ -17,9 +17,9 @@
 #define BRIGHT 100             /* fluxes over noises from which a trail has its own length and direction */
 #define STRENGTH 64            /* least square of the signal-to-noise ratio; of known length and direction */
 #define STRENGTH_KNOWN 36
-#define PLACES 8
-#define CLIP (1 << 14)
-#define WORST (3 << 8)
+#define PLACES 8               /* on either side of a piece where the middle of its trail may be */
+#define CLIP (1 << 14)         /* largest light of a pixel there, DN of 4 fraction bits */
+#define WORST (3 << 8)         /* chi squared a degree of freedom of a trail without light, 8 fraction bits */
 #define LEAST_PEAK 2
 #define MOST_PEAK (1 << 20)
 #define UNUSED 32768

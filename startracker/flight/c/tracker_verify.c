@@ -1,5 +1,8 @@
-/* Verification of an attitude against all stars and all guide stars of the field: the same operations as
- * startracker/flight/verifying.py, which explains them. */
+/* Verification of an attitude against all observed stars and guide stars of the field, on the sphere.
+ *
+ * The steps are those of startracker/identification/verification.py: match within a gate, refit until the match no longer
+ * changes, compute the evidence, narrow the gate. The refit is the Gauss-Newton step of
+ * startracker/estimation/directions.py with weights from the stated variances. */
 #include "tracker_integers.h"
 #include "tracker_search.h"
 
@@ -8,10 +11,10 @@
 #define LOG_UP 24
 #define WEIGHT_BITS 12
 #define SQUARE_BITS 8
-#define ROUNDS 5
+#define ROUNDS 5 /* of a gate */
 #define MOST_EXTRA 10
-#define FARTHEST2 ((int64_t)1 << 54)
-#define LARGEST_TURN ((int64_t)1 << 27)
+#define FARTHEST2 ((int64_t)1 << 54)    /* squared chord of 7 degrees */
+#define LARGEST_TURN ((int64_t)1 << 27) /* of 2.30: the same */
 #define DIVISOR_SHIFT 16
 #define LEAST_DIVISOR 4096
 #define VERIFY_STEPS 500

@@ -1,9 +1,16 @@
-/* Votes of the neighbours of one star: the same operations as startracker/flight/votes.py, which explains them. The votes
- * for a range of guide stars at a time are kept. */
+/* Votes of the neighbours of one star, the pole (Padgett & Kreutz-Delgado 1997).
+ *
+ * Every guide pair as long as the separation of the pole from a neighbour is a vote for both of its stars. A first pass
+ * counts the neighbours that vote for each guide star; a second one keeps the votes for those with enough of them. Two votes
+ * for a guide star agree if the third side of their triangle is as long as observed, and the triangle has the same sense.
+ * With two votes that agree this is the triangle of Mortari et al. 2004; more of them are its confirmation.
+ *
+ * Memory is bounded: a byte a guide star, and TRACKER_SEARCH_MOST_VOTES votes: if there are more, further passes keep those
+ * for the other guide stars, and if there are too many for these, more votes are required. */
 #include "tracker_integers.h"
 #include "tracker_search.h"
 
-#define ABERRATION 107
+#define ABERRATION 107 /* relative error of a separation, as the pairs are without aberration, 20 fraction bits */
 #define LEAST_ERRORS 3
 #define AREA_SHIFT 30
 

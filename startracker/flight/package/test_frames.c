@@ -1,4 +1,4 @@
-/* Frames that are made here of a few numbers, and the answers that the Python reference gave at the export.
+/* Frames that are made here of a few numbers, with a known attitude or without stars.
  *
  * A frame is an even background, noise from a linear congruential generator of its own for each row, and stars whose
  * images are a product of two profiles, tabulated at eighths of a pixel. */
@@ -49,7 +49,8 @@ int main(void)
     static const struct tracker_frame_info nothing;
     static uint16_t row[TRACKER_WIDTH];
     struct tracker_answer answer;
-    int n, y, failed = 0;
+    uint32_t digest = 2166136261u;
+    int n, y, solved = 0, failed = 0;
 
     for (n = 0; n < TEST_FRAMES; n++) {
         struct tracker_frame_info info = nothing;
@@ -62,7 +63,13 @@ int main(void)
             tracker_row(&context, row);
         }
         tracker_finish(&context, &answer);
-        failed += test_differs("frame", n, &answer, &test_frame_answer[n]);
+        digest = test_digest(digest, &answer);
+        solved += answer.status == TRACKER_SOLVED;
+        failed += test_fails("frame", n, &answer, &test_frame_truth[n], NULL);
+    }
+    if (solved == 0) {
+        printf("no frame is solved\n");
+        failed++;
     }
     tracker_start(&context, &nothing);
     tracker_finish(&context, &answer);
@@ -70,6 +77,6 @@ int main(void)
         printf("a frame without rows is not refused\n");
         failed++;
     }
-    printf("%d frames, %d failed\n", TEST_FRAMES + 1, failed);
+    printf("%d frames, %d failed, digest %08lx\n", TEST_FRAMES + 1, failed, (unsigned long)digest);
     return failed > 0;
 }

@@ -1,5 +1,5 @@
-/* The default source of hypotheses: candidates by the votes of a star's neighbours; the same operations as
- * startracker/flight/candidates.py and votes.py, which explain them. */
+/* The default source of hypotheses: candidates by the votes of a star's neighbours, confirmed by the other stars. The rules
+ * are those of startracker/identification/candidate_search.py. */
 #include "tracker_search.h"
 
 static int better(const struct tracker_candidate *one, const struct tracker_candidate *other)

@@ -1,4 +1,4 @@
-/* Confirmation of a pair of stars by the others: the same operations as startracker/flight/candidates.py, which explains them. */
+/* Confirmation of a pair of stars by the others. */
 #include "tracker_integers.h"
 #include "tracker_search.h"
 

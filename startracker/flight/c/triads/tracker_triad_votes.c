@@ -1,4 +1,8 @@
-/* Groups of triads and their votes: the same operations as startracker/flight/triads.py, which explains them. */
+/* Groups of triads and their votes.
+ *
+ * Triads are grouped by their mean rotation: a triad joins the first group whose running mean is near. The largest group
+ * first, its triads are votes for what each star is; the winners with the most disagreeing separations are dropped. Two of
+ * at least three that are left, those farthest apart, give the attitude that is verified. */
 #include "tracker_cordic.h"
 #include "tracker_integers.h"
 #include "tracker_search.h"

@@ -1,4 +1,10 @@
-/* Triads as the source of hypotheses: the same operations as startracker/flight/triads.py, which explains them. */
+/* Triads as the source of hypotheses (Yee 1999, section 2.3.4).
+ *
+ * Three observed stars may be three guide stars if sides, sense and inner angles of their triangles agree, and two sides are
+ * turned alike against the celestial pole. The first star of a triangle is a pole (tracker_votes.c): two votes for a guide
+ * star are two sides, and a triad if the third one agrees. startracker/identification/triads.py is the same in floating
+ * point, but for stars that are not resolved: guide stars with a close neighbour are in no pair here. Angles are degrees of
+ * 10.6. */
 #include "tracker_cordic.h"
 #include "tracker_integers.h"
 #include "tracker_search.h"
