@@ -1,1 +1,1 @@
-"""The tracker of one camera as C for its processor: design, integer reference, export."""
+"""The tracker of one camera as C for its processor: design, tables, sources, export."""

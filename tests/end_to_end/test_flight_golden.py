@@ -25,13 +25,13 @@ def test_answers_after_each_stage(arithmetic, identifier, tmp_path):
 
 @pytest.mark.slow
 def test_a_fault_in_any_source_is_found(tmp_path):
-    """The first of three faults in each source that is found; `benchmarks.flight_faults` plants more."""
+    """One of at most twelve in each source: some change nothing, as those that `benchmarks.flight_faults` names."""
     if read("flight")[1] != processor():
         pytest.skip("the golden outputs are of another processor")
     blind = []
     for build, modules in planted(tmp_path):
         for module in modules:
-            faults = faults_of(module, build.sources[f"tracker_{module}.c"], 3)
+            faults = faults_of(module, build.sources[f"tracker_{module}.c"], 12)
             if not any(build.is_found(fault) for fault in faults):
                 blind.append((module, list(map(str, faults))))
     assert blind == []

@@ -80,12 +80,14 @@ def frames_of(design: Any) -> Iterator[tuple[str, NDArray[np.uint16]]]:
     for name, (x, y) in TRAILS.items():
         yield name, _image(design, _trailed(field, x, y), 10)
     yield "bright trails", _image(design, _trailed(field._replace(flux=30 * field.flux), 12, -6), 11)
-    double = UnitScene(*(np.concatenate(columns) for columns in zip(field[:3], _beside(field), strict=True)), None)
-    frame = _image(design, double, 12).astype(np.int64)
+    frame = _image(design, _with(field, _beside(field, 2, 3)), 12).astype(np.int64)
     height, width = frame.shape
     y, x = np.mgrid[:height, :width]
     white = scene_numbers(design).white
     yield "pairs on a slope", np.minimum(frame + x // 8 + y // 16, white).astype(np.uint16)
+    yield "pairs apart", _image(design, _with(field, _beside(field, 6, 1)), 16)
+    touching = _with(field, _beside(field, 4, 2))
+    yield "saturated pairs", _image(design, touching._replace(flux=300 * touching.flux), 17)
     rng = np.random.Generator(np.random.PCG64([SEED, 20]))
     hot = _image(design, field, 13).reshape(-1)
     hot[rng.integers(0, hot.size, hot.size // 400)] = white
@@ -94,6 +96,10 @@ def frames_of(design: Any) -> Iterator[tuple[str, NDArray[np.uint16]]]:
     yield "saturated", bright
     disc = (x - width // 2) ** 2 + (y - height // 3) ** 2 < (min(width, height) // 8) ** 2
     yield "a bright disc", np.where(disc, white, _image(design, field, 15)).astype(np.uint16)
+    steps = 40 * ((x // 50 + y // 41) % 2)
+    yield "steps", np.minimum(_image(design, field, 18) + steps, white).astype(np.uint16)
+    tails = rng.integers(-400, 401, frame.shape) // rng.integers(1, 60, frame.shape)
+    yield "heavy tails", np.clip(_image(design, field, 19) + tails, 0, white).astype(np.uint16)
     yield "white", np.where(disc, 0, white).astype(np.uint16)
     yield "noise", rng.integers(0, 200, frame.shape).astype(np.uint16)
 
@@ -112,10 +118,16 @@ def _trailed(scene: UnitScene, x: int, y: int) -> UnitScene:
     return UnitScene(*moved, np.repeat(3 * scene.flux // STEPS * max(abs(x), abs(y)) // 6, STEPS), None)
 
 
-def _beside(scene: UnitScene) -> Sequence[NDArray[np.int64]]:
-    """Fainter stars 2 to 5 px beside those of a scene."""
+def _beside(scene: UnitScene, least: int, fainter: int) -> UnitScene:
+    """Fainter stars beside those of a scene, from `least` pixels on."""
     number = np.arange(len(scene.x8))
-    return scene.x8 + 16 + 8 * (number % 4), scene.y8 - 8 * (number % 3), scene.flux // 3
+    x8, y8 = scene.x8 + 8 * (least + number % 4), scene.y8 - 8 * (number % 3)
+    return UnitScene(x8, y8, scene.flux // fainter, None)
+
+
+def _with(one: UnitScene, other: UnitScene) -> UnitScene:
+    """Both scenes together."""
+    return UnitScene(*(np.concatenate(columns) for columns in zip(one[:3], other[:3], strict=True)), None)
 
 
 def lists_of(design: Any, epoch: int) -> Iterator[tuple[str, StarList, Known]]:
@@ -142,6 +154,22 @@ def lists_of(design: Any, epoch: int) -> Iterator[tuple[str, StarList, Known]]:
     yield "outside", one._replace(x=one.x + (design.camera.width << 17)), Known()
     yield "one place", one._replace(x=one.x * 0, y=one.y * 0), Known()
     yield "no flux", one._replace(flux=one.flux * 0, variance=one.variance * 0 + (1 << 32) - 1), Known()
+    yield "sixty and more", one.take(np.arange(90) % len(one.x)), Known(VELOCITY, epoch)
+    errors = one.variance * (1 + 40 * (np.arange(len(one.x)) % 3))
+    yield "errors of all sizes", one._replace(variance=errors), Known(VELOCITY, epoch)
+    yield "larger errors than stated", one._replace(variance=one.variance // 60), Known(VELOCITY, epoch)
+    beyond = (1 << 20, -(1 << 20), 1 << 20)
+    for name, velocity, at in (
+        ("fastest", beyond, epoch),
+        ("too fast", (beyond[0] + 1, 0, 0), epoch),
+        ("backwards too fast", (0, 0, beyond[1] - 1), epoch),
+        ("a century later", VELOCITY, epoch + (96 << 16)),
+        ("too late", VELOCITY, epoch + (200 << 16)),
+        ("too early", VELOCITY, epoch - (300 << 16)),
+    ):
+        yield name, one, Known(velocity, at)
+    for name, radius in (("narrow", 2000), ("all around", 843_314_857), ("largest", (1 << 32) - 1)):
+        yield f"a {name} prior", one, Known(VELOCITY, epoch, 0, (*rows[0].ravel().tolist(), radius))
     yield "no rotation", one, Known(VELOCITY, epoch, 0, (*([(1 << 31) - 1] * 9), 1 << 21))
 
 

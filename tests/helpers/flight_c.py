@@ -1,4 +1,4 @@
-"""The C of a flight build as a shared library, for comparison with its Python reference."""
+"""Modules of the C of a flight build as a shared library, whose functions tests call one by one."""
 
 import ctypes
 import subprocess
