@@ -12,7 +12,9 @@ nothing, as of a comparison of numbers that are never equal.
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import multiprocessing
+import os
 import re
 import subprocess
 import sys
@@ -48,7 +50,7 @@ NEIGHBOURS |= {"+=": "-=", "-=": "+=", "*": "+", "<<": ">>", ">>": "<<"}
 _OPERATOR = re.compile(r"(?<= )(" + "|".join(sorted(map(re.escape, NEIGHBOURS), key=len, reverse=True)) + r")(?= )")
 _NO_CODE = re.compile(r"/\*.*?\*/|^#.*?(?<!\\)$", re.DOTALL | re.MULTILINE)
 _OPTIONS = ("-std=c99", "-O1", "-ffp-contract=off", "-fPIC", "-w")
-_LONGEST_S = 60.0
+_LONGEST_S = 40.0
 """Without a fault it takes 2 s of an idle core."""
 
 
@@ -133,7 +135,10 @@ class Planted:
         return {0: "", 1: "answer"}.get(process.exitcode or 0, "failure")
 
     def _compare(self, library: Path) -> None:
-        sys.exit(int(answers_of(self.design, FlightLibrary(library)) != self.golden))
+        """End this process, which is a copy of another one, without what that one does at its end."""
+        faulthandler.disable()
+        stages = answers_of(self.design, FlightLibrary(library))
+        os._exit(int(any(lines != self.golden[stage] for stage, lines in stages)))
 
     def _object(self, name: str) -> Path:
         return self.folder / f"{name}.o"

@@ -56,19 +56,20 @@ class Event(NamedTuple):
     stars: StarList | None
 
 
-def answers_of(design: Any, solver: Solver) -> dict[str, list[str]]:
+def answers_of(design: Any, solver: Solver) -> Iterator[tuple[str, list[str]]]:
     """Lines by stage: of frames the measured stars, identification and attitude; of lists the last two; the filter."""
-    found: dict[str, list[str]] = {"frames": [], "lists": [], "sequence": []}
     epoch = epoch_of(design.guide.epoch_jyear) + YEARS
+    lines = []
     for name, image in frames_of(design):
         solver.read(image, Known(VELOCITY, epoch))
-        found["frames"] += _lines(name, *solver.finish())
-    for name, stars, known in lists_of(design, epoch):
-        found["lists"] += _lines(name, *solver.solve_stars(stars, known))
+        lines += _lines(name, *solver.finish())
+    yield "frames", lines
     solver.forget()
-    for number, event in enumerate(events_of(design)):
-        found["sequence"] += _followed(str(number), solver, event)
-    return found
+    yield "sequence", [line for k, event in enumerate(events_of(design)) for line in _followed(str(k), solver, event)]
+    lines = []
+    for name, stars, known in lists_of(design, epoch):
+        lines += _lines(name, *solver.solve_stars(stars, known))
+    yield "lists", lines
 
 
 def frames_of(design: Any) -> Iterator[tuple[str, NDArray[np.uint16]]]:

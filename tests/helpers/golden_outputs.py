@@ -248,7 +248,7 @@ def flight_answers(camera: str, arithmetic: str, identifier: str, cache: Path | 
 
     design = flight_design(load_scenario(Path(camera)), arithmetic, identifier)
     stages = answers_of(design, FlightLibrary(compiled_library(design, cache)))
-    lines = {stage: text_rows(lines) for stage, lines in stages.items()}
+    lines = {stage: text_rows(lines) for stage, lines in stages}
     return prefixed(f"{camera}/{arithmetic}/{identifier}", lines)
 
 
