@@ -179,10 +179,11 @@ def main() -> int:
                 faults = faults_of(module, build.sources[f"tracker_{module}.c"], asked.each)
                 found = [build.is_found(fault) for fault in faults]
                 missed = "; ".join(str(fault) for fault, how in zip(faults, found, strict=True) if not how)
-                rows.append([module, str(len(faults)), str(sum(map(bool, found))), missed])
+                first = next((f"{fault} ({how})" for fault, how in zip(faults, found, strict=True) if how), "")
+                rows.append([module, str(len(faults)), str(sum(map(bool, found))), first, missed])
                 blind += not any(found)
                 print(*rows[-1], sep="\t", flush=True)
-    table: Table = ("Faults planted in the C", ["source", "planted", "found", "not found"], rows)
+    table: Table = ("Faults planted in the C", ["source", "planted", "found", "the first found", "not found"], rows)
     show([table])
     if asked.out:
         write_markdown(asked.out, "Faults planted in the C of the flight build", [], [table])
