@@ -155,9 +155,9 @@ def planted(folder: Path) -> Iterator[tuple[Planted, list[str]]]:
     """Builds of both identifiers, and the modules to plant faults in: of the second those that the first has not."""
     done: set[str] = set()
     for identifier in ("adaptive", "triads"):
-        place = folder / identifier
-        place.mkdir()
-        build = Planted(flight_design(load_scenario(Path(CAMERA)), "fixed", identifier), place)
+        sources = folder / identifier
+        sources.mkdir()
+        build = Planted(flight_design(load_scenario(Path(CAMERA)), "fixed", identifier), sources)
         modules = [module for module in build.modules if module not in done]
         done.update(modules)
         yield build, modules

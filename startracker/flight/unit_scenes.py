@@ -53,7 +53,7 @@ class UnitList(NamedTuple):
     number: IntArray
     """Catalogue number of each; 0: a false star."""
     attitude: FloatArray | None
-    """As in `UnitField`; None: there is none, or too few stars tell it."""
+    """As in `UnitField`; None: there is none, or too few stars determine it."""
 
 
 class UnitScene(NamedTuple):

@@ -11,7 +11,7 @@
 #include "tracker.h"
 
 struct test_truth {
-    int known;                      /* 0: there is no attitude, or the stars do not tell it */
+    int known;                      /* 0: there is no attitude, or there are too few stars to determine it */
     struct tracker_matrix attitude; /* 2.30 */
 };
 
