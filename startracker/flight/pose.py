@@ -1,6 +1,6 @@
 """Tables of the attitude and covariance of a frame from its identified stars.
 
-The steps of the C (`c/tracker_pose.c`) are those of `startracker.refine`: all stars of the list that agree with guide
+The steps of the C (`c/tracker_pose.c`) are those of `startracker.estimation.refine`: all stars of the list that agree with guide
 stars of the field are matched again with the attitude of the identified ones, with gates from the median of the
 residuals; then the fit (`c/tracker_pose_fit.c`) estimates the actual errors, and its gates select the stars of the next
 fit, until they no longer change. Residuals are measured in pixels of the image, through the derivatives of the grid

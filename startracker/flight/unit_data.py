@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.fixed_point.c_table import braced
 from startracker.flight.apparent import epoch_of
 from startracker.flight.design import FlightDesign

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.flight.apparent import EPOCH_BITS
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import StarList

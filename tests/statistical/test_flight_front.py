@@ -17,7 +17,7 @@ from startracker.centroid import maximum_likelihood
 from startracker.detection import find_components
 from startracker.flight.front_tables import front_tables
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import GivenImage
+from startracker.inputs import GivenImage
 from tests.helpers.flight_front import CompiledFront
 
 pytestmark = [pytest.mark.system, pytest.mark.skipif(HOST.missing() is not None, reason="no gcc on this machine")]
