@@ -1,10 +1,10 @@
 """Tables of the attitude and covariance of a frame from its identified stars.
 
-The steps of the C (`c/tracker_pose.c`) are those of `startracker.estimation.refine`: all stars of the list that agree with guide
-stars of the field are matched again with the attitude of the identified ones, with gates from the median of the
-residuals; then the fit (`c/tracker_pose_fit.c`) estimates the actual errors, and its gates select the stars of the next
-fit, until they no longer change. Residuals are measured in pixels of the image, through the derivatives of the grid
-table.
+The steps of the C (`c/tracker_pose.c`) are those of `startracker.estimation.refine`: all stars of the list that agree
+with guide stars of the field are matched again with the attitude of the identified ones, with gates from the median of
+the residuals; then the fit (`c/tracker_pose_fit.c`) estimates the actual errors, and its gates select the stars of the
+next fit, until they no longer change. Residuals are measured in pixels of the image, through the derivatives of the
+grid table.
 
 The fit estimates rotation, focal length and shears, averaged over models of their errors. The models, their priors and
 the average are those of `startracker.estimation.pose`: a factor of all variances, a systematic error τ equal for all
