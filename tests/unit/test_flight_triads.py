@@ -14,7 +14,7 @@ from startracker import Camera, StarTracker
 from startracker.fixed_point.wide import WideArithmetic
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.search_tables import TRIAD_BRIGHT, TRIAD_SHARE, search_tables
-from startracker.identification.hypothesis import SCALES
+from startracker.identification.acceptance import SCALES
 from startracker.identification.triad_search import TriadLimits, find_triads, image_pairs
 from startracker.identification.triad_tables import TriadTables
 from startracker.settings import TriadSettings
