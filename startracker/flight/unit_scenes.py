@@ -89,7 +89,7 @@ def unit_field(design: FlightDesign, index: int) -> UnitField:
     x /= np.linalg.norm(x)
     attitude = np.array([x, np.cross(z, x), z])
     velocity = np.array(VELOCITY) / _ONE * SPEED_OF_LIGHT_KM_S
-    seen = design.guide.seen_by(Observer(design.guide.epoch_jyear + YEARS / (1 << EPOCH_BITS), velocity)).directions
+    seen = design.guide.apparent_to(Observer(design.guide.epoch_jyear + YEARS / (1 << EPOCH_BITS), velocity)).directions
     vectors = seen @ attitude.T
     near = np.flatnonzero(vectors[:, 2] > math.cos(min(design.camera.half_diagonal_rad * 1.1, 1.5)))
     xy = design.camera.project(vectors[near])

@@ -41,7 +41,7 @@ class Frame(NamedTuple):
     stars: StarList
     guide: np.ndarray
     start: np.ndarray
-    seen_by: np.ndarray
+    apparent_to: np.ndarray
     """Velocity over that of light, 2.30, and years since the epoch of the tables, 16 fraction bits."""
     truth: np.ndarray
     observer: Observer
@@ -55,7 +55,7 @@ def guide():
 @pytest.fixture(scope="module")
 def tables(guide):
     observer = Observer(2026.0)
-    return pose_tables(SimpleNamespace(camera=CAMERA, guide=guide.seen_by(observer)))
+    return pose_tables(SimpleNamespace(camera=CAMERA, guide=guide.apparent_to(observer)))
 
 
 class Star(ctypes.Structure):
@@ -102,7 +102,7 @@ class Built:
         columns = zip(*(column.tolist() for column in given.stars), strict=True)
         stars = (Star * max(len(given.guide), 1))(*(Star(*row) for row in columns))
         guide = (ctypes.c_int16 * MAX_STARS)(*given.guide.tolist())
-        observer = (ctypes.c_int32 * 4)(*given.seen_by.tolist())
+        observer = (ctypes.c_int32 * 4)(*given.apparent_to.tolist())
         matrix = (ctypes.c_int32 * 9)(*given.start.ravel().tolist())
         covariance = (ctypes.c_int64 * 9)()
         used = self.lib.tracker_solve_pose(self.memory, stars, len(given.guide), guide, observer, matrix, covariance)
@@ -126,7 +126,7 @@ def frame(guide, rng, kind="stated"):
     velocity *= 30.0 / np.linalg.norm(velocity)
     years = float(rng.uniform(-8.0, 8.0))
     observer = Observer(2026.0 + years, velocity)
-    seen = guide.seen_by(observer)
+    seen = guide.apparent_to(observer)
     while True:
         truth = Rotation.random(random_state=rng).as_matrix()
         index, _, xy = seen.in_field(truth, 0.0, CAMERA)
@@ -165,7 +165,7 @@ def refined_pose(guide, given):
     """StarTracker's fit of the same stars."""
     pairs = np.column_stack([np.flatnonzero(given.guide >= 0), given.guide[given.guide >= 0]])
     stars = Measured(given.stars.xy_px, None, given.stars.variance_px2)
-    return refine(pairs, stars, CAMERA, guide.seen_by(given.observer), field_fit, observer=given.observer)
+    return refine(pairs, stars, CAMERA, guide.apparent_to(given.observer), field_fit, observer=given.observer)
 
 
 KINDS = ("stated", "larger", "systematic", "focal", "outliers", "few")
@@ -215,7 +215,7 @@ def test_the_attitude_beside_scipy(guide, built):
         given = frame(guide, rng)
         pose = built.solve(given)
         used = pose.guide >= 0
-        sky = guide.seen_by(given.observer).directions[pose.guide[used]]
+        sky = guide.apparent_to(given.observer).directions[pose.guide[used]]
         camera = CAMERA.unproject(given.stars.xy_px[used])
         found, _ = Rotation.align_vectors(camera, sky, 1.0 / given.stars.variance_px2[used])
         away = error(pose.matrix / ONE, found.as_matrix())
@@ -259,7 +259,7 @@ def wild(guide, rng):
         turn = Rotation.from_rotvec(rng.normal(size=3) * 10.0 ** rng.uniform(-4, -1)).as_matrix()
         start = np.rint(turn @ (given.start / ONE) * ONE).astype(np.int64)
         velocity, years = rng.integers(-(1 << 20), (1 << 20) + 1, 3), int(rng.integers(-100, 101)) << 16
-        given = given._replace(start=start, seen_by=np.append(velocity, years))
+        given = given._replace(start=start, apparent_to=np.append(velocity, years))
     return given._replace(stars=stars)
 
 

@@ -313,7 +313,7 @@ def test_proper_motion(star_tracker, flight):
     """After 20 years Groombridge 1830 has moved by 141″ (7.06″ a year, Hipparcos), 3 px: 60 standard errors.
     With the epoch it is fitted, and the attitude of these exact positions is right to 0.02 px; without, it is not."""
     guide, camera = star_tracker.guide, star_tracker.camera
-    later = guide.seen_by(Observer(guide.epoch_jyear + 20.0))
+    later = guide.apparent_to(Observer(guide.epoch_jyear + 20.0))
     fast = int(np.flatnonzero(guide.catalog.id == 57939)[0])
     away = np.degrees(np.linalg.norm(later.directions[fast] - guide.directions[fast])) * 3600.0
     assert away == pytest.approx(20.0 * 7.06, abs=0.1)
