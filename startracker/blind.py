@@ -15,6 +15,7 @@ from startracker.arguments import ABOVE_0, real_array, real_number, whole_number
 from startracker.arrays import FloatArray
 from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.detection.light import Light
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.free_search import FreeSearch
@@ -114,6 +115,7 @@ def solve_unknown_fov(
         given.observer,
         variance_px2=points.variance_px2,
         rough=camera,
+        light=points.light,
     )
     if camera is not None:
         parity, fov_deg = parity or camera.parity, camera.undistorted_fov_deg
@@ -147,6 +149,8 @@ class _Points(NamedTuple):
     """Number of saturated stars."""
     detection: DetectionSettings | None = None
     """Settings with which they were detected; None for a list of centroids."""
+    light: Light | None = None
+    """The image; None for a list of centroids."""
 
 
 def _points_of_image(
@@ -174,7 +178,8 @@ def _points_of_image(
         return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=Steps(*trace))
     rows, columns = np.shape(given.image)
     xy, flux, variance = found.stars[:3]
-    return _Points(columns, rows, xy, flux, variance, Steps(*trace), found.saturated, settings)
+    light, steps = found.stars.light, Steps(*trace)
+    return _Points(columns, rows, xy, flux, variance, steps, found.saturated, settings, light)
 
 
 def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:

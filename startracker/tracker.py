@@ -345,7 +345,7 @@ class StarTracker:
         """Solution with fitted focal length, within its error."""
         stated, settings = stars.variance_px2, self.identification
         search = FreeSearch.about(self.camera, stars.xy, stars.flux, stated, self.catalog, settings, observer)
-        search = replace(search, estimator=self.direction_estimator)
+        search = replace(search, estimator=self.direction_estimator, light=stars.light)
         found, band = search.run_about(self.focal_error)
         clock.lap("free_scale")
         trace.append(search_step(search.trials, (band,), (self.camera.parity,)))

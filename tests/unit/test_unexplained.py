@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from benchmarks.doubtful_lists import CLUSTERS, NOISE_PX, _sky, camera_of, doubtful_list
 from benchmarks.integrity import is_wrong, solve
 from simulator import Renderer, Scenario
-from startracker import Attitude, Camera, Observer, StarTracker, Status, TrackingSession
+from startracker import Attitude, Camera, Observer, StarTracker, Status, TrackingSession, solve_unknown_fov
 from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.about_knot import about_knot
 from startracker.identification.hypothesis import verify
@@ -250,6 +250,38 @@ def test_a_torn_list_is_refused(tracker, index):
     session = TrackingSession(tracker)
     session.reset(attitude, 0.1)
     assert not session.update_centroids(torn, flux, 0.0, observer=observer).solved
+
+
+@pytest.mark.parametrize("seed", [2, 3, 5])
+def test_a_list_of_two_fields_is_refused_by_all_that_solve_it(tracker, seed):
+    """A fifth of the image is of another field, with 9, 15 and 6 of the stars against 41, 87 and 35.
+
+    They are too few for the contrast alone, and are identified by themselves. Solutions with a fitted focal length and
+    followed lists were accepted without.
+    """
+    rng = np.random.default_rng(100 + seed)
+    turns = [(rng.uniform(0.0, 360.0), rng.uniform(-60.0, 60.0), rng.uniform(0.0, 360.0)) for _ in range(2)]
+    one, other = (Attitude.from_radec_roll(*turn) for turn in turns)
+    (left, left_flux), (right, right_flux) = field(tracker, one, rng=rng), field(tracker, other, rng=rng)
+    border = 0.8 * CAMERA.width
+    here, there = left[:, 0] < border, right[:, 0] >= border
+    xy, flux = np.concatenate([left[here], right[there]]), np.concatenate([left_flux[here], right_flux[there]])
+    order = np.argsort(-flux)
+    xy, flux = xy[order], flux[order]
+    observer = Observer(tracker.guide.epoch_jyear, np.zeros(3))
+    for focal_error in (0.0, 0.1):
+        chosen = StarTracker(CAMERA, magnitude_limit=6.5, focal_error=focal_error)
+        assert chosen.solve_centroids(xy, flux, sigma_px=0.1, observer=observer).status is Status.NO_MATCH
+    session = TrackingSession(tracker)
+    session.reset(one, 0.1)
+    assert not session.update_centroids(xy, flux, 0.0, observer=observer).solved
+    for known in ({"fov_deg": 15.0}, {}, {"camera": CAMERA}):
+        size = CAMERA.width, CAMERA.height
+        assert not solve_unknown_fov(xy, *size, flux=flux, observer=observer, **known).solved
+    alone = xy[:, 0] < border
+    solution = chosen.solve_centroids(xy[alone], flux[alone], sigma_px=0.1, observer=observer)
+    assert solution.solved
+    assert off_deg(solution, one) < 0.02
 
 
 @pytest.fixture(scope="module")
