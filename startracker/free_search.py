@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,6 +67,9 @@ class FreeSearch:
     """Method that gives the attitude of the matched stars, with the fitted lens; None: the fit of lens and attitude."""
     light: Light | None = None
     """The image, if the centroids are those of one."""
+    identify: Callable[[IntArray, Camera], IntArray] | None = None
+    """Catalogue numbers of the stars with which a star tracker identifies some centroids, by their rows, once the
+    camera is known; None: a photograph, whose centroids need not be in the order of V."""
 
     def __post_init__(self) -> None:
         most = self.settings.max_centroids
@@ -266,15 +270,22 @@ class FreeSearch:
         """Why an accepted fit is refused after all (`reason_to_refuse`); empty if it is not."""
 
         def identify(rows: IntArray) -> IntArray:
-            """Guide stars that the same search finds for some centroids, seen through the lens that was fitted."""
-            flux, variance = (None if column is None else column[rows] for column in (self.flux, self.variance_px2))
-            others = replace(self, xy=self.xy[rows], flux=flux, variance_px2=variance, rough=fit.camera, trials=0)
-            best, _ = others._best((_about(fit.camera, _SAME_LENS),), (fit.camera.parity,), sky)
-            self.operations = others.operations
-            return NO_ROWS if best is None or not accepts(others._log_chance(best), self.settings) else best.pairs[:, 1]
+            if self.identify is None:
+                return self._others(rows, fit.camera, sky)
+            return np.flatnonzero(np.isin(guide.catalog.id, self.identify(rows, fit.camera)))
 
         sigma_px = np.full(len(self.xy), STATED_PX) if self.variance_px2 is None else np.sqrt(self.variance_px2)
-        return reason_to_refuse(self.xy, sigma_px, fit, guide, NO_ROWS, identify, self.light)
+        return reason_to_refuse(
+            self.xy, sigma_px, fit, guide, NO_ROWS, identify, self.light, follows_v=self.identify is not None
+        )
+
+    def _others(self, rows: IntArray, camera: Camera, sky: GuideDatabase) -> IntArray:
+        """Guide stars that the same search finds for some centroids, seen through the lens that was fitted."""
+        flux, variance = (None if column is None else column[rows] for column in (self.flux, self.variance_px2))
+        search = replace(self, xy=self.xy[rows], flux=flux, variance_px2=variance, rough=camera, trials=0)
+        best, _ = search._best((_about(camera, _SAME_LENS),), (camera.parity,), sky)
+        self.operations = search.operations
+        return best.pairs[:, 1] if best is not None and accepts(search._log_chance(best), self.settings) else NO_ROWS
 
 
 def _about(camera: Camera, error: float) -> tuple[float, float, float]:

@@ -115,8 +115,13 @@ class Unexplained(NamedTuple):
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether the unmatched stars may be those of another field."""
-        return self.contrast > DOUBTFUL_CONTRAST and self.stars >= FEWEST_OF_ANOTHER
+        """Whether the unmatched stars may be those of another field, and are enough to be identified by themselves."""
+        return self.is_uneven and self.stars >= FEWEST_OF_ANOTHER
+
+    @property
+    def is_uneven(self) -> bool:
+        """Whether one part of the image is explained worse than the rest, so that it may be of another field."""
+        return self.contrast > DOUBTFUL_CONTRAST
 
     @property
     def _explained(self) -> float:
@@ -175,6 +180,8 @@ def reason_to_refuse(
     ignored: IntArray,
     identify: Callable[[IntArray], IntArray],
     light: Light | None = None,
+    *,
+    follows_v: bool = True,
 ) -> str:
     """Why an attitude is not accepted although chance does not explain it, in words; empty if it is accepted.
 
@@ -192,6 +199,9 @@ def reason_to_refuse(
         Guide stars with which some centroids, by their rows, are identified by themselves; for doubtful cases.
     light : Light, optional
         The image, if the centroids are those of one.
+    follows_v : bool
+        Whether the order of the centroids is that of V, as in a star camera. A photograph's may be far from it, and its
+        depth is not known: how many of its bright stars are matched then says nothing.
     """
     stars = fit.pairs[:, 0]
     if len(stars) <= FEW_STARS:
@@ -199,7 +209,7 @@ def reason_to_refuse(
         if largest > FEW_STARS_SIGMAS:
             return f"one of only {len(stars)} stars is off by {largest:.1f} stated errors"
     left = unexplained_in(xy, fit, guide, ignored)
-    if left.contradicts and not (left.leaves_the_rest and light and seen_share(xy, fit, guide, light) >= MOST_SEEN):
+    if left.contradicts and not (left.leaves_the_rest and may_leave_the_rest(xy, fit, guide, light, follows_v)):
         return str(left)
     if left.is_doubtful:
         others = identify(np.setdiff1d(np.arange(len(xy)), np.append(stars, ignored)))
@@ -217,6 +227,11 @@ def unexplained_in(xy: FloatArray, fit: Fitted, guide: GuideDatabase, ignored: I
     if len(ignored):
         xy, seen = np.delete(xy, ignored, axis=0), np.delete(seen, ignored)
     return unexplained_of(np.ascontiguousarray(xy), seen, positions, matched)
+
+
+def may_leave_the_rest(xy: FloatArray, fit: Fitted, guide: GuideDatabase, light: Light | None, follows_v: bool) -> bool:
+    """Whether few matched stars are no contradiction, if they are those of no part of the image."""
+    return not follows_v or (light is not None and seen_share(xy, fit, guide, light) >= MOST_SEEN)
 
 
 def seen_share(xy: FloatArray, fit: Fitted, guide: GuideDatabase, light: Light) -> float:

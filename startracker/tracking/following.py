@@ -60,7 +60,7 @@ class Followed:
         """Whether only the tracker can judge the frame: bright stars stay unexplained, perhaps as they are those of
         another field, or stars are left out that larger errors would explain."""
         left = self.unexplained(camera)
-        return self.is_selective or left.contradicts or left.is_doubtful
+        return self.is_selective or left.contradicts or left.is_uneven
 
     def unexplained(self, camera: Camera) -> Unexplained:
         """Bright stars that the match leaves unexplained (`startracker.unexplained`)."""
@@ -217,10 +217,10 @@ def leaves_out_stars(
     agree are those of one part of the image, with an attitude of their own, and the others are beside their guide
     stars. The tracker, which weighs larger errors and other focal lengths, decides between the two.
 
-    Of n unmatched stars any is closer than d to one of K guide stars by chance with the probability p = K π d² / A, with
-    A the area searched, and m of them with that of the binomial distribution. A star counts only where the prediction
-    allows it to be its guide star: beside a position that is known, it is a blend or a false one. A few stars beside
-    many that match are blends as well (`LEAST_SHARE`).
+    Of n unmatched stars any is closer than d to one of K guide stars by chance with the probability p = K π d² / A,
+    with A the area searched, and m of them with that of the binomial distribution. A star counts only where the
+    prediction allows it to be its guide star: beside a position that is known, it is a blend or a false one. A few
+    stars beside many that match are blends as well (`LEAST_SHARE`).
 
     Parameters
     ----------
