@@ -21,10 +21,9 @@ from startracker.identification import free_scale
 from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.free_scale import FreeFit
-from startracker.identification.last_fit import estimated, last_fit
+from startracker.identification.last_fit import STATED_PX, estimated, last_fit
 from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
-from startracker.refine_stars import STATED_PX
 from startracker.settings import IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.unexplained import NO_ROWS, Fitted, reason_to_refuse

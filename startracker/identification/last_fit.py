@@ -19,7 +19,7 @@ from startracker.lens_fit import Matches, fit_jointly, noise_floor, significant
 
 _REJECT_SIGMAS = 3.7
 """A residual's length beyond this many standard errors an axis has probability 1e-3 (Rayleigh)."""
-_STATED_PX = 0.15
+STATED_PX = 0.15
 """Error of centroids given without one; the residuals determine the remainder."""
 _FEWEST = 12
 _FITTED = 4
@@ -50,7 +50,7 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
     if len(fit.pairs) < _FEWEST:
         fitted = _FITTED + (len(fit.pairs) >= FEWEST_FOR_K1)
         return replace(fit, covariance=few_stars_factor(2 * len(fit.pairs) - fitted) * fit.covariance)
-    own = np.full(len(xy), _STATED_PX**2) if variance_px2 is None else variance_px2
+    own = np.full(len(xy), STATED_PX**2) if variance_px2 is None else variance_px2
     off = xy[fit.pairs[:, 0]] - fit.camera.project(guide.directions[fit.pairs[:, 1]] @ fit.matrix.T)
     pairs, floor = fit.pairs, noise_floor(off, own[fit.pairs[:, 0]])
     camera, matrix = fit.camera, fit.matrix
