@@ -120,12 +120,12 @@ class Unexplained(NamedTuple):
     @property
     def is_doubtful(self) -> bool:
         """Whether the unmatched stars may be those of another field, and are enough to be identified by themselves."""
-        return self.is_uneven and self.stars >= FEWEST_OF_ANOTHER
+        return self.contrast > DOUBTFUL_CONTRAST and self.stars >= FEWEST_OF_ANOTHER
 
     @property
     def is_uneven(self) -> bool:
-        """Whether one part of the image is explained worse than the rest, so that it may be of another field."""
-        return self.contrast > DOUBTFUL_CONTRAST
+        """Whether one part of the image, however small, is explained worse: it may be of another field."""
+        return self.contrast > LARGEST_CONTRAST
 
     @property
     def _explained(self) -> float:

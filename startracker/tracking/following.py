@@ -60,7 +60,7 @@ class Followed:
         """Whether only the tracker can judge the frame: bright stars stay unexplained, perhaps as they are those of
         another field, or stars are left out that larger errors would explain."""
         left = self.unexplained(camera)
-        return self.is_selective or left.contradicts or left.is_uneven
+        return self.is_selective or left.contradicts or left.is_doubtful or left.is_uneven
 
     def unexplained(self, camera: Camera) -> Unexplained:
         """Bright stars that the match leaves unexplained (`startracker.unexplained`)."""

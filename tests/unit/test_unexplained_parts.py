@@ -166,8 +166,8 @@ def test_each_reason_to_refuse_has_its_limit(changes, contradicts, part, doubtfu
     ("changes", "uneven", "mostly_false"),
     [
         ({}, False, False),
-        ({"contrast": 4.1}, True, False),
-        ({"contrast": 4.0}, False, False),
+        ({"contrast": 6.1}, True, False),
+        ({"contrast": 6.0}, False, False),
         ({"lost_stars": 40}, False, False),
         ({"lost_stars": 41}, False, True),
     ],
