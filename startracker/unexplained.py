@@ -209,8 +209,8 @@ def reason_to_refuse(
     light : Light, optional
         The image, if the centroids are those of one.
     follows_v : bool
-        Whether the order of the centroids is that of V, as in a star camera. A photograph's may be far from it, and its
-        depth is not known: how many of its bright stars are matched then says nothing.
+        Whether the order of the centroids is that of V, as in a star camera. A photograph's may be far from it, its
+        depth is not known, and trees may hide a part: how many of its bright stars are matched then says nothing.
     """
     stars = fit.pairs[:, 0]
     if len(stars) <= FEW_STARS:
@@ -221,7 +221,7 @@ def reason_to_refuse(
     if light is not None and (left.is_mostly_false or left.leaves_the_rest):
         positions, there = guide_stars_there(xy, fit, guide, light)
         dark = of_guide_stars(positions, there)
-        if left.is_mostly_false and dark.contrast > LARGEST_CONTRAST:
+        if follows_v and left.is_mostly_false and dark.contrast > LARGEST_CONTRAST:
             return f"{dark.guides} bright guide stars in one part of the image are without a star or any light"
         share = np.count_nonzero(there) / float(len(there))
     if left.contradicts and not (left.leaves_the_rest and (share >= MOST_SEEN or not follows_v)):
