@@ -69,6 +69,8 @@ class FreeSearch:
     identify: Callable[[IntArray, Camera], IntArray] | None = None
     """Catalogue numbers of the stars with which a star tracker identifies some centroids, by their rows, once the
     camera is known; None: a photograph, whose centroids need not be in the order of V."""
+    faintest_v: float = math.inf
+    """Magnitude limit of the star tracker's guide stars, which an accepted attitude explains."""
 
     def __post_init__(self) -> None:
         most = self.settings.max_centroids
@@ -273,6 +275,7 @@ class FreeSearch:
                 return self._others(rows, fit.camera, sky)
             return np.flatnonzero(np.isin(guide.catalog.id, self.identify(rows, fit.camera)))
 
+        guide = guide.brightest(int(np.searchsorted(guide.v_mag, self.faintest_v, side="right")))
         sigma_px = np.full(len(self.xy), STATED_PX) if self.variance_px2 is None else np.sqrt(self.variance_px2)
         return reason_to_refuse(
             self.xy, sigma_px, fit, guide, NO_ROWS, identify, self.light, follows_v=self.identify is not None

@@ -342,8 +342,7 @@ class StarTracker:
 
     def _alone(self, stars: Measured, guide: GuideDatabase, camera: Camera) -> IntArray:
         """Guide stars with which some centroids are identified by themselves, seen by a camera."""
-        observed, _, _ = self._observed(stars, camera)
-        return self._identify(observed, guide, self.identification, None).pairs[:, 1]
+        return self._identify(self._observed(stars, camera)[0], guide, self.identification, None).pairs[:, 1]
 
     def _free_fit(
         self, stars: Measured, guide: GuideDatabase, observer: Observer | None, clock: Clock, trace: Trace
@@ -355,7 +354,8 @@ class StarTracker:
 
         stated, settings = stars.variance_px2, self.identification
         search = FreeSearch.about(self.camera, stars.xy, stars.flux, stated, self.catalog, settings, observer)
-        search = replace(search, estimator=self.direction_estimator, light=stars.light, identify=identify)
+        search.estimator, search.light, search.identify = self.direction_estimator, stars.light, identify
+        search.faintest_v = float(guide.v_mag[-1])
         found, band = search.run_about(self.focal_error)
         clock.lap("free_scale")
         trace.append(search_step(search.trials, (band,), (self.camera.parity,)))

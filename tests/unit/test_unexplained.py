@@ -340,6 +340,16 @@ def test_a_list_of_two_fields_is_refused_by_all_that_solve_it(tracker, seed):
     assert off_deg(solution, one) < 0.02
 
 
+@pytest.mark.parametrize("index", [1134, 13156])
+def test_false_stars_do_not_contradict_a_fitted_focal_length(index):
+    """16 of 40 and 11 of 29 stars fit, most of the tracker's guide stars; of all stars of the catalogue that are as many
+    as the list has, as the search takes them, less than two fifths."""
+    given = doubtful_list("others", index)
+    solution = solve(given, "focal_error 0.1")
+    assert solution.solved
+    assert not is_wrong(given, solution)[0]
+
+
 @pytest.fixture(scope="module")
 def cubesat():
     renderer = Renderer(Scenario.load("scenarios/cubesat_ideal.yaml", ["study.sampling=sky"]))
