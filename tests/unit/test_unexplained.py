@@ -342,8 +342,8 @@ def test_a_list_of_two_fields_is_refused_by_all_that_solve_it(tracker, seed):
 
 @pytest.mark.parametrize("index", [1134, 13156])
 def test_false_stars_do_not_contradict_a_fitted_focal_length(index):
-    """16 of 40 and 11 of 29 stars fit, most of the tracker's guide stars; of all stars of the catalogue that are as many
-    as the list has, as the search takes them, less than two fifths."""
+    """16 of 40 and 11 of 29 stars fit, most of the tracker's guide stars; of all stars of the catalogue, as many as the
+    search takes for that list, less than two fifths."""
     given = doubtful_list("others", index)
     solution = solve(given, "focal_error 0.1")
     assert solution.solved
