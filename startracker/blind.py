@@ -15,7 +15,7 @@ from startracker.arguments import ABOVE_0, real_array, real_number, whole_number
 from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray
-from startracker.detection.light import Light
+from startracker.detection.background import Light
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.free_search import FreeSearch

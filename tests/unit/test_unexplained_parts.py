@@ -7,7 +7,7 @@ import pytest
 
 from startracker import Attitude, StarTracker
 from startracker.detection import Background
-from startracker.detection.light import Light
+from startracker.detection.background import Light
 from startracker.geometry.camera import Camera
 from startracker.unexplained import (
     NO_ROWS,
