@@ -111,7 +111,7 @@ class FreeSearch:
             status = Status.TOO_FEW_STARS if len(xy) else Status.NO_STARS
             reason = f"{len(xy)} stars detected; {needed} are needed if the focal length is unknown"
             return Solution(status, reason, centroids=xy)
-        sky = all_stars(self.catalog).seen_by(self.observer)
+        sky = all_stars(self.catalog).apparent_to(self.observer)
         best, cut_short = self._best(bands, sides, sky)
         return self._cut_short(best, sky) if cut_short else self._verdict(best, sky)
 
