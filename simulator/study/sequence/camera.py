@@ -157,12 +157,12 @@ class SequenceCamera:
         started = clock()
         taken = self._expose(moment)
         rendered = clock()
-        if taken is None or (operated is not None and operated.verdict.image is None):
+        if taken is None:
             return self._refused(moment, taken, (rendered - started) * 1e3)
         frame, truth = taken
-        image: NDArray[Any] = frame.image
-        if operated is not None and operated.verdict.image is not None:
-            image = operated.verdict.image
+        image: NDArray[Any] | None = frame.image if operated is None else operated.verdict.image
+        if image is None:
+            return self._refused(moment, taken, (rendered - started) * 1e3)
         known: dict[str, Any] = {n: getattr(frame, n) for n in ("observer", "saturation_dn", "gain_e_per_dn")}
         at_s = moment.since_s + truth.time_tag_error_s
         solution = session.update(image, at_s, gyro_rad_s=moment.gyro_rad_s, **known)
@@ -203,11 +203,11 @@ class SequenceCamera:
     def _refused(self, moment: Moment, taken: tuple[Frame, FrameTruth] | None, render_ms: float) -> TrackedFrame:
         """A frame that is discarded by the rules of operation, or was not taken."""
         assert self.operated is not None
-        frame, truth = taken if taken is not None else (None, None)
-        true = truth.attitude if truth is not None else self._true_camera(moment)
-        row, solution = self._without_image(moment, true, math.nan if frame is None else render_ms)
-        if frame is not None and truth is not None:
-            row |= self._counts(frame, truth, solution)
+        true = self._true_camera(moment) if taken is None else taken[1].attitude
+        row, solution = self._without_image(moment, true, math.nan if taken is None else render_ms)
+        if taken is not None:
+            row |= self._counts(*taken, solution)
+        frame, truth = taken or (None, None)
         row |= self._alone(None, None) | self.operated.columns(frame, solution, self.session)
         return TrackedFrame(row | self.operated.refused(), frame, solution, _NO_WINDOWS, 0, truth)
 

@@ -123,11 +123,10 @@ def fused_nees(columns: Columns) -> dict[str, Any]:
     Errors of alignments and of the gyro are constant through much of a sequence, which the scatter of the NEES does not
     show. The effective number is therefore that of the errors u, normalised by their standard deviations, whose mean
     is known to be zero: with ρ_k their autocorrelation, squares of Gaussian deviates have ρ_k², and N = n / (1 + 2 Σ
-    ρ_k²), summed while pairs of ρ_k stay positive (Geyer 1992, Statistical Science 7, 473).
+    ρ_k²), summed while pairs of ρ_k stay positive (Geyer 1992, Statistical Science 7, 473). The sum of all ρ_k² is at
+    most n (Young's inequality), so that N is at least 1.
     """
     solved = np.asarray(columns["status"] == "solved", dtype=bool) & np.isfinite(columns["nees"])
-    if solved.sum() < 2:
-        return nees_test(columns["nees"][solved])
     u = np.stack([(columns[f"error_{axis}_deg"] / columns[f"sigma_{axis}_deg"])[solved] for axis in CAMERA_AXES])
     n = u.shape[1]
     products = [float(np.sum(u[:, k:] * u[:, : n - k])) for k in range(n)]
@@ -136,7 +135,7 @@ def fused_nees(columns: Columns) -> dict[str, Any]:
         if products[k] + products[k + 1] <= 0.0:
             break
         total += 2.0 * (products[k] ** 2 + products[k + 1] ** 2) / products[0] ** 2
-    return nees_test(np.asarray(columns["nees"], dtype=float)[solved], max(n / total, 1.0))
+    return nees_test(np.asarray(columns["nees"], dtype=float)[solved], n / total)
 
 
 def summarise_heads(columns: Columns, scenario: Scenario) -> dict[str, Any]:
