@@ -287,6 +287,7 @@ def test_a_missing_frame_is_only_predicted(build, rules):
     assert math.isnan(row["single_ms"])
     assert math.isnan(row["render_ms"])
     assert (row["track_ms"], row["stars_in_field"], row["stars_misidentified"], row["excluded"]) == (0.0, 0, 0, "")
+    assert (row["bodies_in_field"], row["satellites_in_field"]) == (0, 0)
     assert row.get("rule") == ("dropped" if rules else None)
     assert taken.frame is taken.truth is None
     assert (taken.window_half_px, taken.window_xy.shape) == (0, (0, 2))
@@ -403,6 +404,9 @@ def test_columns_in_their_units():
     found = three_columns("rate", "deg_s", np.array([1.0, 2, 3]), np.array([4.0, 5, 6]), np.array([7.0, 8, 9]), 10.0)
     names = [f"{kind}rate_{axis}_deg_s" for axis in "xyz" for kind in ("true_", "", "sigma_")]
     assert list(found.items()) == list(zip(names, [10.0, 40, 70, 20, 50, 80, 30, 60, 90], strict=True))
+    unknown = three_columns("rate", "deg_s", np.array([1.0, 2, 3]), None, None, 10.0)
+    assert [unknown[name] for name in names[::3]] == [10.0, 20.0, 30.0]
+    assert all(math.isnan(unknown[name]) for name in names if not name.startswith("true"))
     assert opening_columns(1, 2.0, 3.0, "utc")["beyond_specification"] is False
     limits = Specification.of_limits({"cross_x": 0.01})
     row = {f"error_{axis}_deg": 0.09 for axis in (*BODY_AXES, *CAMERA_AXES)}

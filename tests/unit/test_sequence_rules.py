@@ -359,6 +359,14 @@ def test_summary_of_the_calibration():
     }  # fmt: skip
 
 
+def test_at_most_200_defects_are_listed():
+    camera = calibrated()
+    camera.calibration.defects.xy = np.arange(402).reshape(201, 2)
+    assert (
+        camera.summarise(summary_columns(camera))["defective_pixels"]["xy"] == np.arange(400).reshape(200, 2).tolist()
+    )
+
+
 def test_a_calibration_beyond_its_bounds():
     for scale in (0.2, 5.0):
         camera = calibrated()

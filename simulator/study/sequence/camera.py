@@ -250,18 +250,19 @@ class SequenceCamera:
         """True and estimated rate, and with a gyro its bias, camera axes."""
         section, session = self.scenario.sequence, self.session
         rate, covariance = session.rate_rad_s, session.covariance
+        spread = None if covariance is None else np.sqrt(np.diag(covariance)[3:])
+        sigma = spread
         if rate is None or covariance is None or (section.gyro.use and moment.gyro_rad_s is None):
-            rate, variance = np.full(3, math.nan), np.full(3, math.nan)
-        else:
-            variance = np.diag(covariance)[3:]
-            if section.gyro.use:
-                variance = variance + (section.gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H) ** 2 / section.step_s
+            rate = sigma = None
+        elif section.gyro.use:
+            white = (section.gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H) ** 2 / section.step_s
+            sigma = np.sqrt(np.diag(covariance)[3:] + white)
         true = moment.rate_rad_s(self.renderer.exposure_s)
-        row = three_columns("rate", "deg_s", true, rate, np.sqrt(variance), math.degrees(1.0))
+        row = three_columns("rate", "deg_s", true, rate, sigma, math.degrees(1.0))
         if moment.bias_rad_s is not None:
-            bias = session.bias_rad_s if session.bias_rad_s is not None else np.full(3, math.nan)
-            spread = np.sqrt(np.diag(covariance)[3:]) if covariance is not None else np.full(3, math.nan)
-            row |= three_columns("bias", "deg_h", moment.bias_rad_s / DEG_H, bias / DEG_H, spread / DEG_H, 1.0)
+            bias = None if session.bias_rad_s is None else session.bias_rad_s / DEG_H
+            spread = None if spread is None else spread / DEG_H
+            row |= three_columns("bias", "deg_h", moment.bias_rad_s / DEG_H, bias, spread, 1.0)
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:
