@@ -5,16 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from star_sequences import SMALL_CAMERA
 
 from simulator import Scenario
 from simulator.frame import FrameTruth, TrueSources
 from simulator.mission.gyro import GyroSamples
 from simulator.mission.motion import MotionState
-from simulator.mission.pointing import MOUNTINGS
+from simulator.mission.pointing import MOUNTINGS, local_level
 from simulator.randomness import seed_of, stream
 from simulator.study.sequence import head_camera as head_module
 from simulator.study.sequence.head_camera import BodyState, HeadCamera
 from simulator.study.sequence.heads import HeadsRunner, _alignment_columns, _Flight, _HeadFrame
+from simulator.study.sequence.true_motion import jitter_at
 from simulator.study.specification.requirements import Specification
 from startracker.fusion import FusionStatus, Head, HeadStatus, Update
 from startracker.geometry.attitude import Attitude
@@ -463,6 +465,32 @@ def test_rows_wait_for_their_attitudes(monkeypatch):
     assert log[:5] == [("take", 1, 0), ("receive", 0.0), ("fused", 0), ("take", 2, 0), ("take", 0, 0)]
     assert came == [(0, 3), (1, 4), (2, 4), (3, 4)]
     assert log[-1] == ("receive", math.inf)
+
+
+def test_the_body_at_all_rows_and_exposures(monkeypatch):
+    """In the local level: its attitude by the orbit, its rate about −y; the jitter of the first camera in body axes."""
+    monkeypatch.setattr(head_module, "tracker_of", lambda scenario, renderer: None)
+    heads = "heads=[{name: a, mounting: orbit_normal}, {name: b, mounting: zenith, time_offset_s: 0.2}]"
+    keys = [*SMALL_CAMERA[:-1], "pointing.error_deg=0", heads, "sequence.frames=3", "sequence.start_s=100"]
+    runner = HeadsRunner(Scenario.load("cubesat_ideal", overrides=keys))
+    times = [0.0, 0.2, 0.5, 0.7, 1.0, 1.2]
+    assert list(runner.states) == runner.ends_s == pytest.approx(times)
+    assert [runner.exposed(h, k).since_s for h in (0, 1) for k in range(3)] == pytest.approx(times[::2] + times[1::2])
+    orbit = runner.cameras[0].renderer.scenes.orbit
+    for state in runner.states.values():
+        assert state.t_s == pytest.approx(100.0 + state.since_s)
+        level = local_level(*orbit.state(state.t_s)).as_matrix()
+        np.testing.assert_allclose(state.body.as_matrix(), level, atol=1e-9)
+        assert state.rate_rad_s[1] == pytest.approx(-2.0 * math.pi / orbit.period_s, rel=0.01)
+        assert state.jitter is None
+    shaken = HeadsRunner(
+        Scenario.load("cubesat_ideal", overrides=[*keys, "pointing.jitter={rms_arcsec: [9, 9, 9], corner_hz: 1}"])
+    )
+    scenes = shaken.cameras[0].renderer.scenes
+    for state, path in zip(shaken.states.values(), jitter_at(shaken.scenario, scenes, shaken.ends_s), strict=True):
+        expected = path.mean(0.1) @ MOUNTINGS["orbit_normal"].as_matrix()
+        np.testing.assert_allclose(state.jitter.mean(0.1), expected, atol=1e-15)
+        assert np.abs(expected).max() > 1e-6
 
 
 # ---------------------------------------------------------------------- one head
