@@ -196,6 +196,9 @@ AREAS = {
             "*/test_in_flight_sequence",
             "*/test_sensor_operation",
             "unit/test_scenario_heads",
+            "unit/test_element_files",
+            "oracle/test_spice_kernels",
+            "oracle/test_ephemeris_files",
         ),
     ),
     "planning": Area(
@@ -238,7 +241,7 @@ AREAS = {
     ),
     "trails": Area(
         ("startracker/trails/*.py",),
-        ("*/test_detection_streaks", "unit/test_points_and_trails", "unit/test_trail_model"),
+        ("*/test_detection_streaks", "unit/test_points_and_trails", "unit/test_trail_*"),
     ),
     "centroid": Area(
         ("startracker/centroid/*.py",),

@@ -128,7 +128,7 @@ def _excess(bins: FloatImage) -> float:
 
 def _measure(signal: Signal, centres: FloatArray, found: CommonMotion, settings: DetectionSettings) -> Trails | None:
     """Whole trails of the frame's motion about these centres, the most significant first."""
-    most = max(settings.max_stars, 0)
+    most = settings.max_stars
     centres = centres[: 2 * most]
     lines, _ = found.lines_at(centres)
     starts = np.zeros((len(centres), 7))

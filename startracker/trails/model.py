@@ -106,7 +106,7 @@ def window_pixels(residual: FloatImage, noise: Plane, p: FloatArray, slack: floa
 
 @kernel_part
 def _decay(u: float) -> float:
-    """exp(−u) of 0 ≤ u, to 1e-5 up to u = 18 and less than 1e-7 beyond: (e^(−u / 32))³², which is vectorised."""
+    """exp(−u) of 0 ≤ u, to 1.4e-5 up to u = 18 and less than 1e-7 beyond: (e^(−u / 32))³², which is vectorised."""
     v = min(u, 18.0) * (-1.0 / 32.0)
     root = 1.0 + v * (1.0 + v * (1 / 2 + v * (1 / 6 + v * (1 / 24 + v * (1 / 120 + v * (1 / 720 + v * (1 / 5040)))))))
     two = root * root

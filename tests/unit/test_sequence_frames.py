@@ -9,6 +9,7 @@ import pytest
 from star_sequences import SMALL_CAMERA
 
 from simulator import Scenario
+from simulator.randomness import stream
 from simulator.study.sequence import frames as frames_module
 from simulator.study.sequence import run as run_module
 from simulator.study.sequence.frames import SequenceRunner
@@ -76,6 +77,8 @@ def test_a_gyro_measures_the_motion_since_the_last_frame(build):
         if k:
             turn = runner.cameras[k - 1].rotation_vector_to(runner.cameras[k])
             np.testing.assert_allclose(moment.gyro_rad_s, turn / 0.25, atol=1e-12)
+    drawn = runner.renderer.scenes.sequence_jitter(stream(runner.scenario.seed, "jitter", 0), 0.0)
+    np.testing.assert_array_equal(moments[3].jitter.mean(0.1), drawn.shifted(0.75).mean(0.1))  # that of trial 0
     assert jitter_at(build().scenario, build().renderer.scenes, [0.0, 1.0]) == []
 
 
