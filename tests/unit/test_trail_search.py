@@ -108,6 +108,8 @@ def test_lines_in_other_directions_and_beyond_the_border():
     assert kept(bins, [diagonal], threshold=3.3) == [0]  # 11/√11 = 3.317
     assert kept(bins, [[30.0, 20.0, 5.0, -5.0]], threshold=1.0) == []
     assert kept(bins, [steep], threshold=2.39) == [0]  # 21 steps, of which 11 are of light: 11/√21 = 2.4
+    for edge in ([2.0, 0.0, 2.0, 0.0], [57.0, 39.0, 2.0, 0.0], [59.0, 2.0, 0.0, 2.0]):
+        assert kept(bins, [edge, edge]) == [0]  # the first and the last row and column are taken as well
     # half of each lies outside
     assert kept(bins, [[0.0, 0.0, 4.0, 0.0]], threshold=5.0 / 3.0 - 1e-6) == [0]
     assert kept(bins, [[59.0, 39.0, 4.0, 0.0]], threshold=5.0 / 3.0 - 1e-6) == [0]
