@@ -162,9 +162,8 @@ def test_shares_of_the_frames():
     """Ten frames: eight solved, of which two are misidentified, one of them gross as well, and one only gross; those
     outside the conditions are not counted."""
     status = ["solved"] * 8 + ["no_match"] * 2
-    flags = {
-        "wrong": np.arange(10) < 3, "misidentified": np.arange(10) < 2, "inconsistent": np.isin(np.arange(10), [1, 2, 5])
-    }  # fmt: skip
+    number = np.arange(10)
+    flags = {"wrong": number < 3, "misidentified": number < 2, "inconsistent": np.isin(number, [1, 2, 5])}
     found = measured(frames(status, **flags))
     assert (found.wrong, found.misidentified, found.gross, found.unit) == (3, 2, 1, "trials")
     assert found.estimate(AVAILABILITY) == Estimate(0.5, *wilson_interval(5, 10), 10)
