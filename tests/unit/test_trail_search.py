@@ -119,20 +119,24 @@ def test_lines_in_other_directions_and_beyond_the_border():
 # ---------------------------------------------------------------------- along one motion
 def test_sums_along_a_shift_of_the_image():
     """All bins of one line about each bin, and nothing where that leaves the image."""
-    bins = np.random.default_rng(6).normal(size=(34, 45)).astype(np.float32)
-    for motion in ((20.0, 6.0, 0.0), (-4.0, 18.0, 0.0), (0.0, 10.0, 0.0), (10.0, 10.0, 0.0)):
+    rng = np.random.default_rng(6)
+    wide, tall = rng.normal(size=(34, 45)).astype(np.float32), rng.normal(size=(60, 14)).astype(np.float32)
+    motions = (20.0, 6.0, 0.0), (-4.0, 18.0, 0.0), (0.0, 10.0, 0.0), (10.0, 10.0, 0.0)
+    for bins, motion in [*((wide, motion) for motion in motions), (tall, (3.0, 40.0, 0.0)), (tall.T, (40.0, 3.0, 0.0))]:
+        height, width = bins.shape
         out = _response(bins, 2.0, np.array(motion))
         u, v = motion[0] / 2.0, motion[1] / 2.0
         turned = abs(v) > abs(u)
         span = round(max(abs(u), abs(v)))
         slope = (u / v) if turned else (v / u)
-        y, x = np.mgrid[:34, :45]
-        room = np.minimum(np.minimum(x, 44 - x) - 0.5 * abs(u), np.minimum(y, 33 - y) - 0.5 * abs(v))
+        y, x = np.mgrid[:height, :width]
+        room = np.minimum(np.minimum(x, width - 1 - x) - 0.5 * abs(u), np.minimum(y, height - 1 - y) - 0.5 * abs(v))
         assert (out[room < 0.0] == -np.inf).all()
         step = np.arange(span) - span // 2
-        for row, column in np.argwhere(room >= 1.0)[::7]:
+        assert (room >= 1.0).sum() > 50
+        for row, column in np.argwhere(room >= 1.0)[::29]:
             sums = []
-            for phase in np.linspace(-0.5, 0.5, 21):  # of the sheared image, whose rows are whole bins
+            for phase in np.linspace(-0.5, 0.5, 401):  # of the sheared image, whose rows are whole bins
                 side = np.floor(slope * step + 0.5 + phase).astype(int)
                 line = bins[row + step, column + side] if turned else bins[row + side, column + step]
                 sums.append(line.sum() / math.sqrt(span))
