@@ -40,9 +40,6 @@ def prepare(
 ) -> Prepared:
     """Check what a centroider is given; see `first_moment` for the meaning and the errors raised."""
     settings = settings or CentroidSettings()
-    window = settings.window_px
-    if window < 3 or window % 2 == 0:
-        raise InputError(f"centroid.window_px is {window}; it must be an odd number of at least 3 pixels")
     given = settings.psf_sigma_px
     if given is not None and not SMALLEST_SIGMA_PX <= given < math.inf:
         raise InputError(
@@ -55,7 +52,9 @@ def prepare(
         raise InputError(f"the image is {values.shape} but its background {background.shape}; compute it again")
     gain = gain_e_per_dn or (_gain_from_background(background) if values.size else 1.0)
     level, noise = background.level_plane, background.noise_plane
-    return Prepared(Pixels(values, level, noise, 1.0 / gain, float(settings.flat_field_error)), settings, window // 2)
+    return Prepared(
+        Pixels(values, level, noise, 1.0 / gain, float(settings.flat_field_error)), settings, settings.window_px // 2
+    )
 
 
 def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[float, float]]:

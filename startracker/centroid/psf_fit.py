@@ -245,7 +245,7 @@ def _accepted(
 
 def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]) -> tuple[PsfModel, Starts]:
     """Star image, and where and how far the fits look."""
-    if not 0.0 <= frame.settings.flat_field_error < 1.0:
+    if frame.settings.flat_field_error >= 1.0:
         raise InputError(
             f"centroid.flat_field_error is {frame.settings.flat_field_error}; it must be from 0 to below 1"
         )

@@ -1,0 +1,362 @@
+"""Parts of the centroiders against numerical derivatives, closed formulas and cases that are written down."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from startracker.centroid.effective_psf import _as_model, _Basis, _clean_stars
+from startracker.centroid.frame import SYSTEMATIC_PX, _covariances, collect, prepare
+from startracker.centroid.psf_fit import _accepted, _fill_starts, _half_of, _reach_of, _start_values
+from startracker.centroid.psf_kernel import Starts
+from startracker.centroid.psf_model import gaussian_psf
+from startracker.centroid.psf_shape import _gaussian_slopes, _is_ellipse, fit_gaussian, frame_psf
+from startracker.centroid.window import Peaks, Pixels
+from startracker.detection import Background, Spots
+from startracker.detection.plane import as_plane
+from startracker.errors import InputError
+from startracker.settings import CentroidSettings
+
+
+def pixels_of(image, noise=5.0, level=0.0, inverse_gain=0.0):
+    image = np.asarray(image, np.float32)
+    planes = (as_plane(np.full(image.shape, value, np.float32)) for value in (level, noise))
+    return Pixels(image, *planes, inverse_gain, 0.0)
+
+
+# ---------------------------------------------------------------------- the Gaussian of a frame
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
+
+
+def gaussian(x, y, shape, nodes=NODES, weights=WEIGHTS):
+    """Light of a unit Gaussian at the origin in pixels (N,), integrated by a product rule over each."""
+    xx, yy, xy = shape
+    determinant = xx * yy - xy**2
+    total = 0.0
+    for u, p in zip(nodes / 2.0, weights / 2.0, strict=True):
+        for v, q in zip(nodes / 2.0, weights / 2.0, strict=True):
+            a, b = x + u, y + v
+            square = (yy * a * a + xx * b * b - 2.0 * xy * a * b) / determinant
+            total = total + p * q * np.exp(-0.5 * square) / (2.0 * math.pi * math.sqrt(determinant))
+    return total
+
+
+@pytest.mark.parametrize("shape", [(0.6, 0.9, 0.0), (1.5, 0.7, 0.4), (0.8, 1.2, -0.3)])
+def test_slopes_of_a_gaussian_in_pixels(shape):
+    """By x, y, ln F, xx, yy and xy, against differences of the same integral."""
+    wide, high, left, top = 7, 5, -3.2, -1.7
+    out = np.zeros((6, wide * high + 3))
+    _gaussian_slopes((left, top), wide, high, shape, out, np.empty((6, 3 * wide)))
+    x, y = left + np.tile(np.arange(wide), high), top + np.repeat(np.arange(high), wide)
+    step, expected = 1e-5, []
+    for axis in range(2):
+        move = step * np.eye(2)[axis]
+        ends = [gaussian(x - sign * move[0], y - sign * move[1], shape) for sign in (1.0, -1.0)]
+        expected.append((ends[0] - ends[1]) / (2.0 * step))
+    expected.append(gaussian(x, y, shape))
+    for k in range(3):
+        change = step * np.eye(3)[k]
+        ends = [gaussian(x, y, np.array(shape) + sign * change) for sign in (1.0, -1.0)]
+        expected.append((ends[0] - ends[1]) / (2.0 * step))
+    np.testing.assert_allclose(out[:, : wide * high], expected, atol=1e-9)
+    assert not out[:, wide * high :].any()
+
+
+def test_an_ellipse_has_two_positive_axes():
+    """Of at least the smallest width, 0.1 px, in the geometric mean."""
+    assert _is_ellipse(1.0, 1.0, 0.9)
+    assert not _is_ellipse(1.0, 1.0, 1.0)
+    assert not _is_ellipse(-1.0, -1.0, 0.0)
+    assert not _is_ellipse(0.0, 1.0, 0.0)
+
+
+def field(shape, count=9, flux=1e5, size=120, seed=1, noise=0.0):
+    """Stars 36 px apart at random phases: image, positions and fluxes."""
+    rng = np.random.default_rng(seed)
+    side = math.ceil(math.sqrt(count))
+    corner = np.stack(np.divmod(np.arange(count), side), axis=1) * 36.0 + 20.0
+    xy, light = corner + rng.uniform(-0.5, 0.5, (count, 2)), flux * np.linspace(1.0, 0.5, count)
+    y, x = np.mgrid[:size, :size]
+    image = noise * rng.normal(size=(size, size))
+    for (at_x, at_y), f in zip(xy, light, strict=True):
+        image += f * gaussian(x - at_x, y - at_y, shape)
+    return image, xy, light
+
+
+def starts_of(xy, off=0.0):
+    n = len(xy)
+    return Starts(xy[:, 0] + off, xy[:, 1] - off, np.zeros(n, np.int64), np.full(n, np.inf))
+
+
+@pytest.mark.parametrize("shape", [(0.7, 1.0, 0.25), (1.4, 0.9, -0.3), (0.8, 0.8, 0.0)])
+def test_the_ellipse_of_stars_without_noise(shape):
+    """Found to a thousandth of a px² from a round start and positions that are 0.3 px off."""
+    image, xy, _ = field(shape)
+    found, errors = fit_gaussian(pixels_of(image), starts_of(xy, 0.3), np.arange(9), 5, (1.0, 1.0, 0.0))
+    np.testing.assert_allclose(found, shape, atol=1.5e-3)
+    assert max(errors) < 2e-3
+    weighed, _ = fit_gaussian(pixels_of(image), starts_of(xy, 0.3), np.arange(9), 5, (1.0, 1.0, 0.0), 10.0)
+    np.testing.assert_allclose(weighed, shape, atol=1.5e-3)
+
+
+def test_the_scatter_of_the_stars_is_the_error_of_their_ellipse():
+    """Over forty frames: errors of the variances as stated, to 5/√80; the orientation of a round image is left out as
+    far as noise explains it; one star of another image hardly counts."""
+    ratios, tilts = [], []
+    for seed in range(40):
+        image, xy, _ = field((0.8, 1.0, 0.0), flux=4000.0, seed=seed, noise=5.0)
+        found, errors = fit_gaussian(pixels_of(image, 5.0), starts_of(xy), np.arange(9), 4, (1.0, 1.0, 0.0))
+        ratios.append((np.array(found[:2]) - [0.8, 1.0]) / errors)
+        tilts.append(abs(found[2]))
+    # of nine stars the error itself is known to a quarter: the ratio scatters by some more than 1
+    assert 0.7 < np.std(ratios) < 1.6
+    assert np.mean(np.array(tilts) == 0.0) > 0.9
+    image, xy, _ = field((0.8, 1.0, 0.3), noise=5.0)
+    y, x = np.mgrid[:120, :120]
+    image += 3e4 * gaussian(x - xy[4, 0], y - xy[4, 1], (5.0, 5.0, 0.0))
+    found, _ = fit_gaussian(pixels_of(image, 5.0), starts_of(xy), np.arange(9), 5, (1.0, 1.0, 0.0))
+    np.testing.assert_allclose(found, (0.8, 1.0, 0.3), atol=0.02)
+
+
+def test_orientations_that_are_left_out():
+    """Of images narrower than 0.11 px² along an axis; that of two stars is kept as it is."""
+    for shape, count, kept in (
+        ((0.6, 0.105, 0.08), 9, False),
+        ((0.6, 0.13, 0.08), 9, True),
+        ((0.8, 1.0, 0.2), 2, True),
+    ):
+        image, xy, _ = field(shape, count)
+        found, _ = fit_gaussian(pixels_of(image), starts_of(xy), np.arange(count), 4, (0.5, 0.5, 0.0))
+        assert (found[2] != 0.0) is kept, shape
+
+
+def test_stars_that_cannot_be_fitted():
+    """Nothing but noise has no shape; stars beyond the image, or without a position, are left out."""
+    empty = pixels_of(np.zeros((60, 60)))
+    assert all(
+        math.isnan(v) for v in fit_gaussian(empty, starts_of(np.full((3, 2), 30.0)), np.arange(3), 4, (1, 1, 0))[0]
+    )
+    image, xy, _ = field((0.8, 1.0, 0.3))
+    wrong = np.concatenate([xy, [[np.nan, 20.0], [-30.0, 20.0], [119.6, 400.0]]])
+    found, _ = fit_gaussian(pixels_of(image), starts_of(wrong), np.arange(12), 5, (1.0, 1.0, 0.0))
+    np.testing.assert_allclose(found, (0.8, 1.0, 0.3), atol=2e-3)
+
+
+def spots_at(xy, flux, saturated=()):
+    x, y = np.rint(xy).astype(np.int64).T
+    flags = np.isin(np.arange(len(xy)), saturated)
+    return Spots(x.copy(), y.copy(), np.array(flux, float), np.full(len(x), 12), flags, np.zeros(len(x), bool))
+
+
+def frame_of(image, noise=2.0, **settings):
+    image = np.asarray(image, np.float32)
+    flat = Background(np.zeros_like(image), np.full_like(image, noise))
+    return prepare(image, flat, CentroidSettings(**settings), 1.0)
+
+
+@pytest.mark.parametrize(("length", "angle", "is_line"), [(0.0, 0.0, False), (6.0, 0.5, True), (6.0, 2.0, True)])
+def test_elongated_images_are_lines_where_these_fit_better(length, angle, is_line):
+    """A round Gaussian of 0.8 px² that moved by 6 px, and one that did not: the variance along it grows by L²/12."""
+    rng = np.random.default_rng(2)
+    corner = np.stack(np.divmod(np.arange(9), 3), axis=1) * 36.0 + 20.0
+    xy = corner + rng.uniform(-0.5, 0.5, (9, 2))
+    y, x = np.mgrid[:120, :120]
+    image = np.zeros((120, 120))
+    for part in (np.arange(16) + 0.5) / 16 - 0.5:
+        for at_x, at_y in xy:
+            dx, dy = part * length * math.cos(angle), part * length * math.sin(angle)
+            image += 1e5 / 16 * gaussian(x - at_x - dx, y - at_y - dy, (0.8, 0.8, 0.0))
+    psf = frame_psf(frame_of(image), spots_at(xy, np.full(9, 1e5)), starts_of(xy), (1.0, 1.0), 6.0)
+    xx, yy, tilt = psf.shape
+    axis = np.array([math.cos(angle), math.sin(angle)])
+    matrix = np.array([[xx, tilt], [tilt, yy]])
+    assert axis @ matrix @ axis == pytest.approx(0.8 + length**2 / 12.0, rel=0.06)
+    across = np.array([-axis[1], axis[0]])
+    assert across @ matrix @ across == pytest.approx(0.8, rel=0.03)
+    # a line has flat sides: in the middle it is flatter than the Gaussian of its variances
+    ellipse = gaussian_psf(xx, yy, tilt, radius_px=psf.radius_px)
+    middle = [model.shares(np.zeros(1), np.zeros(1)).item() for model in (psf, ellipse)]
+    assert (middle[0] < 0.95 * middle[1]) is is_line
+
+
+# ---------------------------------------------------------------------- what a fit is worth
+def fit_row(chi2=100.0, freedom=100.0, hot=1e9, variance=0.01):
+    """x, y, flux, variances and covariance, χ², its freedom, and that of a hot pixel."""
+    return [10.0, 20.0, 500.0, variance, 2.0 * variance, 0.5 * variance, chi2, freedom, hot]
+
+
+ODDS = 2.0 * math.log(0.1)
+
+
+@pytest.mark.parametrize(
+    ("row", "blends", "outcome", "factor"),
+    [
+        (fit_row(), True, "fit", 1.0),
+        (fit_row(156.0), True, "fit", 1.0),  # 1 + 4 √(2/100) = 1.566
+        (fit_row(157.0), True, "fit", 1.57),
+        (fit_row(157.0), False, "fit", 1.0),
+        (fit_row(100.0, hot=100.0 + ODDS + 1e-6), True, "fit", 1.0),
+        (fit_row(100.0, hot=100.0 + ODDS - 1e-6), True, "none", 1.0),
+        (fit_row(100.0, hot=0.0), False, "fit", 1.0),
+        (fit_row(variance=0.66), True, "fit", 1.0),  # 3 × 0.66 against 2
+        (fit_row(variance=0.67), True, "none", 1.0),
+        (fit_row(variance=0.67), False, "fit", 1.0),
+        ([np.nan, *fit_row(hot=157.0)[1:]], True, "moment", 1.0),
+        ([np.nan, *fit_row(hot=156.0)[1:]], True, "none", 1.0),
+        ([np.nan, *fit_row(hot=0.0)[1:]], False, "moment", 1.0),
+    ],
+)
+def test_fits_that_are_accepted(row, blends, outcome, factor):
+    """A star image of 2 px² together, and a hot pixel a tenth as likely as a star."""
+    moments, group = np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 2), np.array([0, 0])
+    fits = np.array([fit_row(), row])
+    found = _accepted(fits, moments, group, blends, 2.0, ODDS)
+    np.testing.assert_array_equal(found[0], fits[0, :6])
+    if outcome == "none":
+        assert math.isnan(found[1, 0])
+    elif outcome == "moment":
+        np.testing.assert_array_equal(found[1], moments[1])
+    else:
+        np.testing.assert_allclose(found[1], fits[1, :6] * [1, 1, 1, factor, factor, factor])
+    assert group.tolist() == [0, 3 if outcome == "moment" else 0]
+
+
+def test_where_fits_begin():
+    """At the moment, unless it is none, or 1.5 px off the brightest pixel of a star that is not saturated; a flat top
+    of 30 pixels has a radius of 3.1, and a ceiling of 0.9 of its height over the sky."""
+    image = np.full((40, 50), 100.0)
+    image[20, 30] = 1100.0
+    x, y = np.array([30.0, 31.6, 30.0, np.nan, 33.0]), np.array([20.9, 20.0, 21.6, 20.0, 20.0])
+    starts = Starts(x.copy(), y.copy(), np.zeros(5, np.int64), np.full(5, np.inf))
+    saturated = np.array([False, False, False, False, True])
+    peaks = Peaks(np.full(5, 30), np.full(5, 20), np.full(5, 30), saturated)
+    _fill_starts(pixels_of(image, level=100.0), peaks, starts)
+    assert starts.x.tolist() == [30.0, 30.0, 30.0, 30.0, 33.0]
+    assert starts.y.tolist() == [20.9, 20.0, 20.0, 20.0, 20.0]
+    assert starts.half.tolist() == [0, 0, 0, 0, 4]
+    assert starts.ceiling.tolist() == [math.inf] * 4 + [pytest.approx(1000.0)]
+    moments = np.column_stack([x, y, np.ones((5, 4))])
+    again = _start_values(pixels_of(image, level=100.0), peaks, moments)
+    np.testing.assert_array_equal(again.x, starts.x)
+    assert math.isnan(moments[3, 0])  # the moments stay
+
+
+@pytest.mark.parametrize(
+    ("sigma2", "radius", "window", "half"), [(1.0, 9.0, 5, 3), (1.0, 9.0, 9, 4), (0.2, 9.0, 5, 2), (4.0, 4.9, 5, 4)]
+)
+def test_half_width_of_the_windows(sigma2, radius, window, half):
+    """2½ widths, at least that of the settings, and no more than the image reaches: a pixel less than its radius."""
+    psf = gaussian_psf(sigma2, sigma2, radius_px=radius)
+    assert _half_of(frame_of(np.zeros((9, 9)), window_px=window), psf) == half
+    assert _reach_of(psf) == min(8, math.floor(psf.radius_px - 1.0))
+
+
+# ---------------------------------------------------------------------- what all centroiders share
+def test_light_of_neighbours_in_the_covariance():
+    """The share of a neighbour's light in the window, times half a window; not of one that was fitted together, and of
+    none beyond four widths."""
+    half, sigma = 3, (0.9, 1.2)
+    table = np.array([[20.2, 30.0, 100.0, 0.01, 0.02, 0.003], [24.0, 29.0, 300.0, 0.01, 0.02, 0.0]])
+    far = table.copy()
+    far[1, 0] = 20.2 + 3 + 4.0 * 1.2
+    shares = []
+    for low, at, s in ((20.0, 24.0, 0.9), (30.0, 29.0, 1.2)):
+        ends = np.array([low - 3.5 - at, low + 3.5 - at]) / s
+        shares.append(ndtr(ends[1]) - ndtr(ends[0]))
+    more = (half * shares[0] * shares[1] * 3.0) ** 2
+    found = _covariances(table, sigma, half, np.array([0, 1]), 0.005)
+    expected = [[0.01 + 2.5e-5 + more, 0.003], [0.003, 0.02 + 2.5e-5 + more]]
+    np.testing.assert_allclose(found[0], expected, rtol=1e-5)
+    assert more > 1e-4
+    alone = [[0.01 + 2.5e-5, 0.003], [0.003, 0.02 + 2.5e-5]]
+    np.testing.assert_allclose(_covariances(table, sigma, half, np.array([7, 7]), 0.005)[0], alone)
+    np.testing.assert_allclose(_covariances(far, sigma, half, np.array([0, 1]), 0.005)[0], alone)
+
+
+def test_centroids_of_a_table():
+    """Brightest first; a row without a number is left out, and an error of more than half a window on both axes."""
+    limit = 2.0 * 2.5**2 - 2.0 * SYSTEMATIC_PX**2
+    rows = np.array(
+        [
+            [10.0, 10.0, 5.0, 0.01, 0.02, 0.0],
+            [40.0, 10.0, 9.0, 0.01, 0.02, 0.005],
+            [70.0, 10.0, 7.0, 0.01, np.nan, 0.0],
+            [10.0, 50.0, 8.0, 0.5 * limit, 0.4999 * limit, 0.0],
+            [40.0, 50.0, 6.0, 0.5 * limit, 0.5001 * limit, 0.0],
+        ]
+    )
+    spots = spots_at(rows[:, :2], rows[:, 2], saturated=(1,))
+    found = collect(rows, (1.0, 1.0), spots, 2)
+    assert found.flux.tolist() == [9.0, 8.0, 5.0]
+    assert found.saturated.tolist() == [True, False, False]
+    np.testing.assert_array_equal(found.xy, rows[[1, 3, 0], :2])
+    np.testing.assert_allclose(found.covariance[0], [[0.01 + 2.5e-5, 0.005], [0.005, 0.02 + 2.5e-5]])
+    exact = collect(rows[:1], (1.0, 1.0), spots_at(rows[:1, :2], rows[:1, 2]), 2, systematic_px=0.0)
+    assert exact.covariance[0, 0, 0] == 0.01
+
+
+def test_a_gain_from_the_background():
+    """As if its noise were photon noise: level over variance, and with a level below the noise one over it."""
+    image = np.zeros((40, 40), np.float32)
+    for level, noise, gain in ((100.0, 5.0, 4.0), (2.0, 5.0, 0.2)):
+        flat = Background(np.full_like(image, level), np.full_like(image, noise))
+        assert prepare(image, flat, None, None).pixels.inverse_gain == pytest.approx(1.0 / gain)
+    assert prepare(image, flat, None, 2.5).pixels.inverse_gain == pytest.approx(0.4)
+    for settings, gain, words in (
+        ({"psf_sigma_px": 0.09}, 1.0, "psf_sigma_px is 0.09"),
+        ({}, 0.0, "the gain is 0.0"),
+        ({}, math.inf, "the gain is inf"),
+    ):
+        with pytest.raises(InputError, match=words):
+            prepare(image, flat, CentroidSettings(**settings), gain)
+    assert prepare(image, flat, CentroidSettings(window_px=3), 1.0).half == 1
+
+
+# ---------------------------------------------------------------------- a star image from stars
+def test_splines_of_an_image_integrated_over_pixels():
+    """They sum to one inside the radius, to the covered part of the pixel at its end; each is its spline's integral."""
+    basis = _Basis(3.2)
+    assert basis.radius_px == 3.5
+    inside = basis(np.linspace(-3.0, 3.0, 25))
+    np.testing.assert_allclose(inside.sum(axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(basis(np.array([3.25, -3.75, 4.0])).sum(axis=1), [0.75, 0.25, 0.0], atol=1e-12)
+    np.testing.assert_allclose(basis(np.array([0.3]))[0], basis(np.array([-0.3]))[0][::-1], atol=1e-12)
+    fine = (np.arange(4000) + 0.5) / 4000 - 0.5
+    tiny = basis(0.3 + fine) - 0.0  # means over pixels of means over pixels: the running mean of the first
+    np.testing.assert_allclose(tiny.mean(axis=0), [basis(0.3 + fine)[:, k].mean() for k in range(basis.count)])
+    # twice as many splines as pixels, besides three at the ends
+    assert basis.count == 2 * 7 + 3
+
+
+def test_a_table_is_normalised_to_its_light():
+    table = np.random.default_rng(3).uniform(0.1, 1.0, (81, 81))
+    model = _as_model(table, (1.0, 1.0, 0.0))
+    assert model.table.sum() == pytest.approx(64.0)
+    assert (model.oversampling, model.shape) == (8, (1.0, 1.0, 0.0))
+
+
+def test_clean_stars_of_frames():
+    """Alone within twice the radius, off the border, not saturated; brightest first, and of the best frame the
+    Gaussian."""
+    first, xy, light = field((0.8, 1.0, 0.0), noise=2.0)
+    second, other, fainter = field((1.2, 0.7, 0.0), count=4, flux=3e4, seed=5, noise=2.0)
+    frames = [frame_of(first), frame_of(second)]
+    spots = [spots_at(xy, light, saturated=(2,)), spots_at(other, fainter)]
+    stars, psf = _clean_stars(frames, spots, 5.0, 4, 400)
+    assert len(stars) == 12
+    assert (np.diff(stars[:, 0]) <= 0.0).all()
+    assert stars[:, 1].tolist() == [0.0] * 8 + [1.0] * 4
+    expected = np.concatenate([np.delete(xy, 2, axis=0), other])
+    assert np.abs(stars[:, None, 2:] - expected).max(axis=2).min(axis=1).max() < 0.1
+    assert psf.shape[0] < psf.shape[1]
+    assert len(_clean_stars(frames, spots, 5.0, 4, 10)[0]) == 10
+    beside = spots_at(np.concatenate([xy, xy[:1] + 9.0]), np.append(light, 1.0))
+    assert len(_clean_stars(frames[:1], [beside], 5.0, 4, 400)[0]) == 8
+    assert len(_clean_stars(frames[:1], [beside], 4.4, 3, 400)[0]) == 9
+    with pytest.raises(InputError, match="7 stars stand alone"):
+        _clean_stars(frames[:1], [spots_at(xy[:7], light[:7])], 5.0, 4, 400)
+    # from the border a window and one pixel more
+    assert len(_clean_stars(frames[:1], spots[:1], 5.0, 17, 400)[0]) == 8
+    with pytest.raises(InputError, match="stars stand alone"):
+        _clean_stars(frames[:1], spots[:1], 5.0, 20, 400)
