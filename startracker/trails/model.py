@@ -63,7 +63,7 @@ def _row_spans(p: FloatArray, beyond: float, beside: float, height: int, width: 
     spans = np.empty((max(bottom - top, 0), 2), np.int64)
     for k in range(len(spans)):
         dy = top + k - p[Y]
-        left, right = -2.0 * (beyond + beside), 2.0 * (beyond + beside)
+        left, right = -np.inf, np.inf
         if abs(cos) > 1e-6:
             middle, reach = -dy * sin / cos, beyond / abs(cos)
             left, right = max(left, middle - reach), min(right, middle + reach)

@@ -21,13 +21,16 @@ from simulator.study.intervals import (
     spread_interval,
     wilson_interval,
 )
+from simulator.study.pictures import Shades, draw_solution
 from simulator.study.process_noise import process_noise
 from simulator.study.specification.measured import Measured, Setting
 from simulator.study.specification.predicted import Predicted
 from simulator.study.specification.requirements import Requirement, Specification
 from simulator.study.specification.verdicts import Estimate, Judgement, Verdict
 from simulator.study.statistics import AXES, against_bound, axis_statistics, consistency, error_against, outliers
+from simulator.study.style import PICTURE_STYLE, new_figure
 from simulator.study.texts import deg_text, percent_text
+from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracking import GyroNoise, RateNoise
 
 ROLL = Requirement("roll", 1.0, 99.7, "roll")
@@ -503,3 +506,24 @@ def test_noise_of_a_filter_follows_the_motion():
     assert known.scale_sigma == pytest.approx(2e-5)
     section.gyro.bias_deg_h = section.gyro.bias_instability_deg_h = 0.0
     assert process_noise(section, states, shaking, 0.1).bias_sigma_rad_s == 1e-9
+
+
+# ---------------------------------------------------------------------- a picture
+@pytest.mark.parametrize(("centroids", "stars"), [(2, 1), (2, 0), (0, 0)])
+def test_a_drawn_solution(centroids, stars):
+    """All shades from black to white, the first pixel's centre at (0, 0), and a mark for each kind there is."""
+    _, ax = new_figure(PICTURE_STYLE, 1, 1, (4.0, 3.0))
+    xy = np.array([[10.0, 5.0], [30.0, 12.0]])
+    matched = MatchedStars(
+        xy[:stars], np.arange(stars), np.array(["Vega"] * stars), np.zeros(stars), np.ones(stars), np.zeros((stars, 2))
+    )
+    solution = Solution(Status.NO_MATCH, "nothing", None, None, matched, xy[:centroids])
+    draw_solution(ax, Shades(np.zeros((10, 20), np.uint8), 40, 20), solution, "title")
+    (image,) = ax.images
+    assert image.get_clim() == (0, 255)
+    assert image.get_extent() == [-0.5, 39.5, 19.5, -0.5]
+    assert (ax.get_xlim(), ax.get_ylim(), ax.axison) == ((-0.5, 39.5), (19.5, -0.5), False)
+    legend = ax.get_legend()
+    words = [] if legend is None else [text.get_text() for text in legend.get_texts()]
+    assert words == ["detected (2)"] * (centroids > 0) + ["identified (1)"] * (stars > 0)
+    assert legend is None or legend._ncols == len(words)
