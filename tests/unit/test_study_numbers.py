@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from simulator.build import build_orbit
+from simulator.scenario import Scenario
+from simulator.study.budget.effects import EFFECTS
 from simulator.study.budget.error_budget import Budget, Contribution, _contribution, _Run
 from simulator.study.budget.outliers import Outlier, find_outliers, lines_of
+from simulator.study.html_page import provenance, verdict_table
 from simulator.study.intervals import (
     effective_number,
     mean_chi_square_bounds,
@@ -28,7 +32,7 @@ from simulator.study.specification.predicted import Predicted
 from simulator.study.specification.requirements import Requirement, Specification
 from simulator.study.specification.verdicts import Estimate, Judgement, Verdict
 from simulator.study.statistics import AXES, against_bound, axis_statistics, consistency, error_against, outliers
-from simulator.study.style import PICTURE_STYLE, new_figure
+from simulator.study.style import PICTURE_STYLE, Panel, figure_of, new_figure
 from simulator.study.texts import deg_text, percent_text
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracking import GyroNoise, RateNoise
@@ -506,6 +510,80 @@ def test_noise_of_a_filter_follows_the_motion():
     assert known.scale_sigma == pytest.approx(2e-5)
     section.gyro.bias_deg_h = section.gyro.bias_instability_deg_h = 0.0
     assert process_noise(section, states, shaking, 0.1).bias_sigma_rad_s == 1e-9
+
+
+# ---------------------------------------------------------------------- effects that depend on the scenario
+EFFECT = {effect.name: effect for effect in EFFECTS}
+SPIN = {"pointing.spin.rate_deg_s": 2.0, "pointing.rate_deg_s": (0.0, 0.0, 0.0)}
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "changes"),
+    [
+        (
+            "faint neighbours",
+            {"sky.magnitude_limit": 9.0, "tracker.magnitude_limit": 6.0},
+            {"sky.magnitude_limit": 6.0},
+        ),
+        ("faint neighbours", {"sky.magnitude_limit": 5.0, "tracker.magnitude_limit": 6.0}, None),
+        ("catalogue errors", {"sky.catalog": "bsc5", "tracker.catalog": "hipparcos"}, {"sky.catalog": "hipparcos"}),
+        ("catalogue errors", {}, None),
+        ("gain of the intensifier", {}, None),
+        ("cosmic rays", {"detector.cosmic_rays.rate_cm2_s": 2.0}, {"detector.cosmic_rays.rate_cm2_s": 0.0}),
+        ("cosmic rays", {"detector.cosmic_rays.rate_cm2_s": 0.0}, None),
+        ("radiation damage", {}, None),
+        ("smear by rates", SPIN, {"pointing.rate_deg_s": (0.0, 0.0, -2.0)}),
+        ("smear by rates", {"pointing.target": [10.0, 20.0, 0.0], "pointing.rate_deg_s": [0, 0, 0]}, None),
+        (
+            "smear by rates",
+            {"pointing.target": [10.0, 20.0, 0.0], "pointing.rate_deg_s": [0.1, 0, 0]},
+            {"pointing.rate_deg_s": (0.0, 0.0, 0.0)},
+        ),
+        ("quantisation", {"detector.adc_bits": 12}, {"detector.adc_bits": None}),
+        ("quantisation", {"detector.adc_bits": 12, "tracker.engine": "flight"}, None),
+    ],
+)
+def test_what_switches_an_effect_off(name, keys, changes):
+    """None where the scenario does not have it; after the change it has not."""
+    scenario = Scenario.load("cubesat_ideal", overrides=["detector.pixel_pitch_um=6"]).changed(keys)
+    found = EFFECT[name].off(scenario)
+    if changes is None:
+        assert found == {}
+        return
+    assert changes.items() <= found.items()
+    assert EFFECT[name].off(scenario.changed(found)) == {}
+
+
+def test_the_local_level_stands_still_at_the_orbital_rate():
+    """360° per period about +Y, against its rotation about −Y."""
+    scenario = Scenario.load("cubesat_ideal")
+    rate = EFFECT["smear by rates"].off(scenario)["pointing.rate_deg_s"]
+    assert rate == (0.0, pytest.approx(360.0 / build_orbit(scenario).period_s), 0.0)
+
+
+# ---------------------------------------------------------------------- parts of pages
+def test_panels_as_wide_as_their_place():
+    """A wide one is narrow, and no higher than 3 inches, on a phone."""
+    for wide, narrow, height, size in (
+        (False, False, 5.0, (4.2, 5.0)), (True, False, 5.0, (7.6, 5.0)), (True, True, 5.0, (4.2, 3.0)),
+        (True, True, 2.0, (4.2, 2.0)),
+    ):  # fmt: skip
+        panel = Panel("title", "note", lambda ax: None, height, wide)
+        assert figure_of(panel, narrow).get_size_inches().tolist() == pytest.approx(size)
+
+
+def test_verdicts_as_a_table():
+    made = [Verdict(ROLL, Estimate(0.5, 0.5, 0.5, 9)), Verdict(AVAILABILITY, Estimate(1.0, 0.9, 1.0, 9))]
+    table = verdict_table(Judgement(tuple(made), "measured", "trials"))
+    assert table.rows[0] == ("roll", "99.7 % below 0.5000°", "–", "1.0000°", "2 ×", "met")
+    assert table.rows[1][2:] == ("90.00 % to 100.00 %", "99.00 %", "–", "undecided")
+    assert "upper limits need 1228 trials" in table.note
+    assert "need 0 trials" in verdict_table(Judgement((), "measured", "trials")).note
+    known = {"name": "a", "seed": 3, "version": "1", "finished_utc": "2026-01-02T03:04:05"}
+    said = "Scenario a, digest 0123456789ab, seed 3, boresight 1"
+    assert provenance(known, "0123456789abcdef") == f"{said}, 2026-01-02 03:04 UTC"
+    del known["finished_utc"]
+    assert provenance(known, "0123456789abcdef") == said
 
 
 # ---------------------------------------------------------------------- a picture
