@@ -11,6 +11,7 @@ from startracker.centroid.result import Centroids
 from startracker.detection.plane import as_plane
 from startracker.geometry.camera import Camera
 from startracker.trails import Trails, mid_exposure
+from startracker.trails import motion as motion_module
 from startracker.trails.fit import (
     _first_fit,
     _shift,
@@ -24,9 +25,11 @@ from startracker.trails.model import LINE, POSITION, SHAPE, _decay, window_pixel
 from startracker.trails.motion import (
     CommonMotion,
     Signal,
+    _fitted,
     _is_whole,
     _lengthened,
     _Straight,
+    _straightened,
     _weighted_motion,
     _without_blur,
     find_motion,
@@ -513,3 +516,134 @@ def test_positions_at_mid_exposure_and_their_common_error():
     np.testing.assert_allclose(found.common_px2, np.transpose(moved) @ turn.covariance @ moved, rtol=1e-9)
     assert found.misfit == 0.5
     np.testing.assert_array_equal(stated[1], 0.01**2 * np.eye(2))  # those of the trails stay
+
+
+# ---------------------------------------------------------------------- lines made straight, and the fit to them
+def straight_lines(monkeypatch, lines, moved=(0.0, 0.0), chi2=1.0, score=6.0, flux=None):
+    """`_straightened` of lines whose fits and stretches are written down: 1 px to the right of the line's middle and 10
+    px long at best."""
+    asked = []
+
+    def fit(residual, noise, start, size, slack, inverse_gain):
+        asked.append((start.copy(), size, slack))
+        made = start.copy()
+        made[:2] += moved
+        made[2] = 100.0 + len(asked) if flux is None else flux[len(asked) - 1]
+        return made, None, chi2, 99
+
+    monkeypatch.setattr(motion_module, "fit_trail", fit)
+    monkeypatch.setattr(motion_module, "light_along", lambda *given: given[3])
+    stretches = np.array([1.0, score, 2.0]), np.array([0.5, 1.0, -3.0])
+    monkeypatch.setattr(motion_module, "best_stretches", lambda total, lengths: stretches)
+    lengths = np.array([8, 10, 12])
+    return _straightened(signal_of(), np.array(lines, dtype=float), 1.3, lengths), asked
+
+
+def test_lines_are_made_straight(monkeypatch):
+    """Fitted in position and direction from their middle, at least 2 px long, then moved to their best stretch."""
+    lines = [[30.0 + 5.0 * k, 40.0, 3.0, 4.0] for k in range(3)] + [[50.0, 50.0, 0.0, -1.0]]
+    found, asked = straight_lines(monkeypatch, lines)
+    start, size, slack = asked[0]
+    np.testing.assert_allclose(start, [30.0, 40.0, 0.0, 0.0, math.atan2(4.0, 3.0), 5.0, 1.3])
+    assert (size, slack) == (5, 3.0)
+    assert asked[3][0][4:6].tolist() == [math.atan2(-1.0, 0.0), 2.0]
+    # brightest first: the last one
+    np.testing.assert_allclose(found.table[0, [0, 1, 2, 5]], [50.0, 49.0, 104.0, 5.0], atol=1e-12)
+    np.testing.assert_allclose(found.table[3, :2], [30.6, 40.8])
+    np.testing.assert_allclose(found.middles[0], [-0.5, 0.0, -4.0])
+    np.testing.assert_allclose(found.scores[0], [1.0, 6.0, 2.0])
+    assert found.lengths.tolist() == [8, 10, 12]
+    assert straight_lines(monkeypatch, lines[:3])[0] is None
+    many = [[30.0 + k, 40.0, 3.0, 4.0] for k in range(15)]
+    found, asked = straight_lines(monkeypatch, many)
+    assert (len(found.table), len(asked)) == (12, 12)
+
+
+@pytest.mark.parametrize(
+    ("given", "there"),
+    [
+        ({"score": 5.5}, True),
+        ({"score": 5.49}, False),
+        ({"moved": (0.0, 7.99)}, True),  # half of the line, and 3 px
+        ({"moved": (0.0, 8.01)}, False),
+        ({"chi2": math.inf}, False),
+        ({"chi2": math.nan}, False),
+    ],
+)
+def test_lines_that_stand_out_and_stay(monkeypatch, given, there):
+    lines = [[40.0 + 5.0 * k, 40.0, 3.0, 4.0] for k in range(4)]
+    assert (straight_lines(monkeypatch, lines, **given)[0] is not None) is there
+    cut = [*lines[:3], [40.0, -5.0, 3.0, 4.0]]  # its end is beyond the border
+    assert straight_lines(monkeypatch, cut, **given)[0] is None
+
+
+def fitted_motion(monkeypatch, lengths, chi2=1.0, camera=None, measure_sigma=True, motion=(20.0, 0.0, 0.0)):
+    """`_fitted` of lines along x whose fits have these lengths; widths of 1.0, 1.1, …"""
+    asked, made_up = [], iter(range(99))
+
+    def fit(residual, noise, start, size, slack, inverse_gain):
+        asked.append((start.copy(), size, slack))
+        k = next(made_up)
+        made = start.copy()
+        made[4], made[5], made[6] = 0.0, 0.5 * lengths[k], 1.0 + 0.1 * k
+        return made, np.diag([0.01, 0.01, 9.0, 1.0, 1e-4, 0.04, 0.01]), chi2, 99
+
+    monkeypatch.setattr(motion_module, "fit_trail", fit)
+    n = len(lengths)
+    table = np.array([[40.0 + k, 20.0 + 5.0 * k, 100.0 - k, 0.0, 0.0, 9.0, 0.7] for k in range(n)])
+    straight = _Straight(table, np.array([10, 30]), np.ones((n, 2)), np.tile([2.0, -2.0], (n, 1)))
+    return _fitted(signal_of(), np.array(motion), straight, measure_sigma, camera), asked
+
+
+def test_the_motion_of_fitted_lines(monkeypatch):
+    """Begun at the length of the motion, moved to where the stretch of that length is: half-way, 0 px from the line's
+    middle. Five of 20 px, and one of another length that has no say."""
+    found, asked = fitted_motion(monkeypatch, [20.0, 20.0, 20.0, 20.0, 20.0, 60.0])
+    start, size, slack = asked[0]
+    np.testing.assert_allclose(start[[0, 1, 5]], [40.0, 20.0, 10.0])
+    assert (size, slack) == (LINE, 3.0 + 0.05 * 10.0)
+    np.testing.assert_allclose(found.motion, [20.0, 0.0, 0.0], atol=1e-9)
+    assert found.sigma == pytest.approx(1.2)  # of the five brightest
+    assert fitted_motion(monkeypatch, [20.0] * 6, measure_sigma=False)[0].sigma == 0.7
+    # variances: 4 χ² σ²(h), 4 χ² h² σ²(angle), 0.1² besides; of the length (0.3 + 0.01 L)² as well
+    xy = np.array([[40.0 + k, 20.0 + 5.0 * k] for k in range(5)]) - [49.5, 39.5]
+    variance = np.array([4.0 * 0.04 + 0.01 + (0.3 + 0.2) ** 2, 4.0 * 100.0 * 1e-4 + 0.01])
+    design = [row for x, y in xy for row in (np.array([1.0, 0.0, -y]), np.array([0.0, 1.0, x]))]
+    weights = np.tile(1.0 / variance, 5)
+    normal = (np.transpose(design) * weights) @ design
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(normal), rtol=1e-6)
+    assert found.turn is None
+    assert found.middle.tolist() == [49.5, 39.5]
+
+
+@pytest.mark.parametrize(
+    ("lengths", "chi2", "there"),
+    [
+        ([20.0] * 4, 1.0, True),
+        ([20.0] * 3, 1.0, False),
+        ([20.0] * 4, math.inf, False),
+        ([20.0] * 4 + [90.0] * 2, 1.0, True),  # two reach beyond the image
+        ([20.0] * 3 + [12.0], 1.0, False),
+    ],
+)
+def test_a_motion_needs_four_lines_that_fit(monkeypatch, lengths, chi2, there):
+    assert (fitted_motion(monkeypatch, lengths, chi2)[0] is not None) is there
+
+
+def test_only_long_trails_show_how_the_camera_turned(monkeypatch):
+    """From 20 px on, with a camera."""
+    camera = Camera.from_fov(20.0, 100, 80)
+    for length, there in ((21.0, True), (19.0, False)):
+        found, _ = fitted_motion(monkeypatch, [length] * 5, camera=camera, motion=(length, 0.0, 0.0))
+        assert (found.turn is not None) is there
+    assert fitted_motion(monkeypatch, [21.0] * 5, motion=(21.0, 0.0, 0.0))[0].turn is None
+
+
+@pytest.mark.parametrize(("snr", "alone"), [(27.0, False), (33.0, True)])
+def test_bright_trails_have_their_own_direction(snr, alone):
+    """From a signal-to-noise ratio of 30: without noise the ratio of a fit is that of its flux."""
+    image = image_of(TRAIL * [1, 1, 1, 0, 1, 1, 1])
+    unit = math.sqrt(fit_trail(image, PLANE, TRAIL, POSITION, 2.0, 0.0)[1][2, 2])
+    line = TRAIL * [1, 1, snr * unit / TRAIL[2], 0, 1, 1, 1]
+    found = measure_trails(image_of(line), PLANE, np.array([line]) * [1, 1, 0, 0, 1, 1, 1], 0.0, 5.0, 9)
+    assert found.alone.tolist() == [alone]
