@@ -488,7 +488,7 @@ def test_noise_of_a_filter_follows_the_motion():
     assert found == RateNoise(3.0 * 4e-3 / 4.0 * 2.0, math.radians(0.5))
     assert process_noise(section, states[:1], [], 0.1).acceleration == 1e-6
     rng = np.random.default_rng(5)
-    angles = 1e-3 * rng.normal(size=(9, 3))
+    angles = 1e-3 * rng.normal(size=(8, 3))
     shaking = [SimpleNamespace(mean=lambda exposure_s, a=a: a * exposure_s / 0.1) for a in angles]
     assert process_noise(section, states[:1], shaking[:7], 0.1).acceleration == 1e-6
     second = np.mean(np.diff(angles, 2, axis=0) ** 2, axis=0).max()
