@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from scipy import stats
 
@@ -34,6 +35,7 @@ from simulator.study.specification.verdicts import Estimate, Judgement, Verdict
 from simulator.study.statistics import AXES, against_bound, axis_statistics, consistency, error_against, outliers
 from simulator.study.style import PICTURE_STYLE, Panel, figure_of, new_figure
 from simulator.study.texts import deg_text, percent_text
+from simulator.study.trials import columns as columns_module
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracking import GyroNoise, RateNoise
 
@@ -584,6 +586,20 @@ def test_verdicts_as_a_table():
     assert provenance(known, "0123456789abcdef") == f"{said}, 2026-01-02 03:04 UTC"
     del known["finished_utc"]
     assert provenance(known, "0123456789abcdef") == said
+
+
+# ---------------------------------------------------------------------- memory of columns
+def test_columns_that_stay_in_memory(monkeypatch):
+    """Numbers by their bytes, text by ten pointers each: what was used last stays, alone if need be."""
+    text = [f"star {k}" for k in range(50)]
+    table = pa.table({"a": text, "b": text, "x": np.arange(50.0), "y": np.arange(50.0), "z": np.arange(50.0)})
+    monkeypatch.setattr(columns_module, "CACHE_BYTES", 2 * 8 * 50)
+    columns = columns_module.Columns(table)
+    for name, kept in (("x", "x"), ("y", "xy"), ("x", "yx"), ("z", "xz"), ("a", "a"), ("b", "b"), ("x", "x")):
+        assert len(columns[name]) == 50
+        assert "".join(columns._cache) == kept
+    monkeypatch.setattr(columns_module, "CACHE_BYTES", 10 * 8 * 50)
+    assert (len(columns["a"]), "".join(columns._cache)) == (50, "a")
 
 
 # ---------------------------------------------------------------------- a picture
