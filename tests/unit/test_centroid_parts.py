@@ -4,14 +4,16 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from startracker.centroid.effective_psf import _as_model, _Basis, _clean_stars
 from startracker.centroid.frame import SYSTEMATIC_PX, _covariances, collect, prepare
 from startracker.centroid.psf_fit import _accepted, _fill_starts, _half_of, _reach_of, _start_values
-from startracker.centroid.psf_kernel import Starts
+from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.centroid.psf_shape import _gaussian_slopes, _is_ellipse, fit_gaussian, frame_psf
+from startracker.centroid.psf_sums import interpolate
 from startracker.centroid.window import Peaks, Pixels
 from startracker.detection import Background, Spots
 from startracker.detection.plane import as_plane
@@ -360,3 +362,168 @@ def test_clean_stars_of_frames():
     assert len(_clean_stars(frames[:1], spots[:1], 5.0, 17, 400)[0]) == 8
     with pytest.raises(InputError, match="stars stand alone"):
         _clean_stars(frames[:1], spots[:1], 5.0, 20, 400)
+
+
+# ---------------------------------------------------------------------- fits of stars
+PSF = gaussian_psf(0.8, 1.1, 0.2, radius_px=9.0)
+
+
+def scene(*stars, size=40, noise=5.0, seed=1):
+    rng, (y, x) = np.random.default_rng(seed), np.mgrid[:size, :size]
+    image = noise * rng.normal(size=(size, size))
+    for at_x, at_y, flux in stars:
+        image += flux * PSF.shares(x - at_x, y - at_y)
+    return image
+
+
+def starts_at(*stars, half=4, off=0.3, ceiling=np.inf):
+    xy = np.array(stars)[:, :2]
+    return Starts(xy[:, 0] + off, xy[:, 1] - off, np.full(len(xy), half), np.full(len(xy), ceiling))
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.5])
+@pytest.mark.parametrize("stars", [1, 2])
+def test_a_fit_is_the_least_squares_of_its_window(stars, gain):
+    """Position, flux, their covariance, χ² and its freedom, of one star and of two 4 px apart; the variance of a pixel
+    is that of the model where it follows it."""
+    true = np.array([[20.2, 19.6, 2000.0], [23.9, 21.1, 1500.0]])[:stars]
+    image = scene(*true)
+    image[18, 22] = np.nan
+    pixels = pixels_of(image, 5.0, inverse_gain=gain)
+    found = fit_stars(pixels, PSF.samples, starts_at(*true), np.zeros(stars, np.int64), True)
+    y, x = np.mgrid[:40, :40]
+    inside = np.zeros((40, 40), bool)
+    for at_x, at_y, _ in true:
+        inside |= (np.abs(x - round(at_x + 0.3)) <= 4) & (np.abs(y - round(at_y - 0.3)) <= 4)
+    inside &= np.isfinite(image)
+    x, y, value = x[inside], y[inside], image[inside].astype(np.float32)
+
+    def model(p):
+        return sum(f * PSF.shares(x - a, y - b) for a, b, f in p.reshape(-1, 3))
+
+    variance = 25.0 + gain * np.maximum(model(found[:, :3].ravel()), 0.0)
+    best = least_squares(
+        lambda p: (value - model(p)) / np.sqrt(variance), found[:, :3].ravel(), x_scale=np.tile([0.1, 0.1, 50.0], stars)
+    )
+    covariance = np.linalg.inv(best.jac.T @ best.jac)
+    sigma = np.sqrt(np.diag(covariance))
+    # a step of 0.02 standard errors ends it, and the table is interpolated to 1e-4 px
+    assert (np.abs(found[:, :3].ravel() - best.x) < 0.03 * sigma + np.tile([2e-4, 2e-4, 1.0], stars)).all()
+    for k in range(stars):
+        block = covariance[3 * k : 3 * k + 2, 3 * k : 3 * k + 2]
+        np.testing.assert_allclose(found[k, [3, 4, 5]], block[[0, 1, 0], [0, 1, 1]], rtol=0.02, atol=2e-6)
+    np.testing.assert_allclose(found[:, 6], 2.0 * best.cost, rtol=2e-3)
+    assert (found[:, 7] == inside.sum() - 3 * stars).all()
+    if stars == 1:
+        squares = value**2 / 25.0
+        assert found[0, 8] == pytest.approx(squares.sum() - squares.max(), rel=1e-5)
+    else:
+        assert np.isnan(found[:, 8]).all()
+
+
+def test_variances_that_stay():
+    """Of the third step, and the flux of a star is then that of these weights: near the other one, and not the same."""
+    pixels, start = pixels_of(scene((20.2, 19.6, 9000.0)), 5.0, inverse_gain=0.5), starts_at((20.2, 19.6, 9000.0))
+    alone = np.zeros(1, np.int64)
+    follow, stay = (fit_stars(pixels, PSF.samples, start, alone, reweigh)[0] for reweigh in (True, False))
+    assert 0.0 < np.abs(follow[:2] - stay[:2]).max() < 5e-3
+    np.testing.assert_allclose(follow[3:5], stay[3:5], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("stars", "changes", "fails"),
+    [
+        ([(20.2, 19.6, 2000.0)], {}, False),
+        ([(20.2, 19.6, -2000.0)], {}, True),  # no light at all
+        ([(26.0, 19.6, 9000.0)], {"at": (20.2, 19.6)}, True),  # it leaves its window
+        ([(20.2, 19.6, 2000.0)], {"ceiling": -50.0}, True),  # nothing is left
+        ([(0.2, 0.4, 2000.0)], {}, False),
+        ([(-3.0, 20.0, 9e5)], {"at": (-3.0, 20.0), "half": 3}, True),  # a single column
+    ],
+)
+def test_fits_that_fail(stars, changes, fails):
+    at = changes.get("at", stars[0][:2])
+    start = starts_at((*at, 1.0), **{name: value for name, value in changes.items() if name != "at"})
+    found = fit_stars(pixels_of(scene(*stars), 5.0), PSF.samples, start, np.zeros(1, np.int64), True)[0]
+    assert bool(np.isnan(found[0])) is fails
+
+
+def test_pixels_at_the_ceiling_are_left_out():
+    image = scene((20.2, 19.6, 5000.0))
+    pixels = pixels_of(image)
+    clipped = fit_stars(pixels, PSF.samples, starts_at((20.2, 19.6), ceiling=500.0), np.zeros(1, np.int64), True)[0]
+    assert clipped[7] == 81 - 3 - np.count_nonzero(image[15:24, 16:25].astype(np.float32) >= 500.0)
+    assert np.abs(clipped[:2] - [20.2, 19.6]).max() < 0.05
+    pixels = pixels_of(scene((20.2, 19.6, 5000.0), (23.9, 21.1, 3000.0)))
+    together = starts_at((20.2, 19.6), (23.9, 21.1))
+    together.ceiling[1] = 500.0
+    both = fit_stars(pixels, PSF.samples, together, np.zeros(2, np.int64), True)
+    whole = fit_stars(pixels, PSF.samples, starts_at((20.2, 19.6), (23.9, 21.1)), np.zeros(2, np.int64), True)
+    assert (both[:, 7] < whole[:, 7]).all()  # the lower ceiling is that of both
+
+
+def test_groups_of_stars():
+    """Within the larger reach on both axes, chained, eight at most."""
+    x, y = np.array([0.0, 10.0, 10.0, 31.0]), np.array([0.0, 0.0, 10.01, 0.0])
+    assert group_stars(x, y, np.array([10, 5, 10, 20])).tolist() == [0, 0, 2, 3]
+    assert group_stars(x, y, np.array([10, 5, 11, 21])).tolist() == [0, 0, 0, 0]
+    chain = group_stars(5.0 * np.arange(12), np.zeros(12), np.full(12, 5))
+    assert np.bincount(chain).max() == 8
+    assert len(set(chain.tolist())) == 2
+
+
+@pytest.mark.parametrize("correct", [True, False])
+def test_a_weighted_moment_and_its_error(correct):
+    """The sum of weighted offsets of light, less that of the star image, is zero at the position; its error is that of
+    the sum through the derivative."""
+    image = scene((20.2, 19.6, 3000.0))
+    image[18, 23] = np.nan
+    pixels, start, shape = pixels_of(image, 5.0, inverse_gain=0.5), starts_at((20.2, 19.6)), (0.9, 1.0, 0.1)
+    samples = PSF.samples._replace(table=PSF.table)
+    x, y, flux, var_x, var_y, cov = weighted_moments(pixels, samples, start, shape, correct)[0]
+    rows, columns = np.mgrid[15:24, 16:25]
+    good = np.isfinite(image[15:24, 16:25])
+    value = image[15:24, 16:25].astype(np.float32)[good].astype(float)
+    inverse = np.linalg.inv([[0.9, 0.1], [0.1, 1.0]])
+
+    def sums(at, light, image_at=None):
+        """Weighted moments about a position, of a star image at its own if that is another."""
+        away = np.stack([columns[good] - at[0], rows[good] - at[1]])
+        w = np.exp(-0.5 * np.einsum("in,ij,jn->n", away, inverse, away))
+        here = at if image_at is None else image_at
+        share = PSF.shares(columns[good] - here[0], rows[good] - here[1])
+        return w, w * away, share, (w @ light) / (w @ share)
+
+    w, first, share, amount = sums((x, y), value)
+    assert flux == pytest.approx(amount, rel=1e-3)
+    rest = first @ value - (flux * first @ share if correct else 0.0)
+    jacobian = []
+    for axis in range(2):
+        step = 1e-3 * np.eye(2)[axis]
+        ends = [first @ PSF.shares(columns[good] - (x + s * step[0]), rows[good] - (y + s * step[1])) for s in (1, -1)]
+        jacobian.append((ends[0] - ends[1]) / 2e-3)
+    derivative = flux * np.transpose(jacobian)
+    # the last step was below 2e-4 px
+    assert np.abs(np.linalg.solve(derivative, rest)).max() < 2.5e-4
+    noise = (first * (25.0 + 0.5 * np.maximum(value, 0.0))) @ first.T
+    expected = np.linalg.inv(derivative) @ noise @ np.linalg.inv(derivative).T
+    np.testing.assert_allclose([var_x, var_y, cov], expected[[0, 1, 0], [0, 1, 1]], rtol=0.01, atol=1e-6)
+    assert (w > 0.0).all()
+
+
+@pytest.mark.parametrize("distance", [-3.3, 0.0, 0.41, 2.999])
+def test_weights_of_a_cubic_convolution(distance):
+    """Keys' kernel of a = −½ at the four points about a place, and its derivative."""
+
+    def keys(u):
+        u = abs(u)
+        return (1.5 * u - 2.5) * u * u + 1.0 if u <= 1.0 else ((-0.5 * u + 2.5) * u - 4.0) * u + 2.0 if u < 2.0 else 0.0
+
+    weights = np.empty((2, 8))
+    first = interpolate(81, 8, distance, weights, 1)
+    place = distance * 8 + 40
+    assert first == math.floor(place)
+    points = first + np.arange(-1, 3)
+    np.testing.assert_allclose(weights[1, :4], [keys(place - p) for p in points], atol=1e-12)
+    slopes = [(keys(place + 1e-6 - p) - keys(place - 1e-6 - p)) / 2e-6 for p in points]
+    np.testing.assert_allclose(weights[1, 4:], slopes, atol=1e-5)
