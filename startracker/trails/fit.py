@@ -189,7 +189,7 @@ def best_stretches(total: FloatArray, lengths: IntArray) -> tuple[FloatArray, Fl
     `total` is from `light_along`.
     """
     reach = len(total) // 2 - 1
-    best, middle = np.full(len(lengths), -np.inf), np.zeros(len(lengths))
+    best, middle = np.empty(len(lengths)), np.empty(len(lengths))
     for n in range(len(lengths)):
         length, most, where = lengths[n], -np.inf, reach
         for first in range(max(reach - length + 1, 0), min(reach + 1, len(total) - length)):

@@ -1,12 +1,16 @@
 """Parts of the centroiders against numerical derivatives, closed formulas and cases that are written down."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.special import ndtr
+from scipy.stats import multivariate_normal
 
+from startracker.centroid import psf_fit
+from startracker.centroid.asymmetry import _are_single, _averaged, _pooled
 from startracker.centroid.effective_psf import _as_model, _Basis, _clean_stars
 from startracker.centroid.frame import SYSTEMATIC_PX, _covariances, collect, prepare
 from startracker.centroid.psf_fit import _accepted, _fill_starts, _half_of, _reach_of, _start_values
@@ -527,3 +531,69 @@ def test_weights_of_a_cubic_convolution(distance):
     np.testing.assert_allclose(weights[1, :4], [keys(place - p) for p in points], atol=1e-12)
     slopes = [(keys(place + 1e-6 - p) - keys(place - 1e-6 - p)) / 2e-6 for p in points]
     np.testing.assert_allclose(weights[1, 4:], slopes, atol=1e-5)
+
+
+# ---------------------------------------------------------------------- displacement by an asymmetric image
+@pytest.mark.parametrize("mean", [(0.0, 0.0), (0.02, -0.01), (0.3, 0.2)])
+def test_displacement_is_averaged_over_a_grid_of_its_scatter(mean):
+    """Bayes' rule by densities of scipy; 0.4 and 0.45 are what the module states of star images and of coma."""
+    mean, variance, width = np.array(mean), 4e-4, 0.8
+    models = [(0.4, 0.0)] + [(0.15, (share * width) ** 2) for share in (0.05, 0.1, 0.2, 0.4)]
+    evidence = [prior * multivariate_normal.pdf(mean, cov=(variance + tau2) * np.eye(2)) for prior, tau2 in models]
+    weight = np.array(evidence) / sum(evidence)
+    kept = [tau2 / (tau2 + variance) for _, tau2 in models]
+    expected = weight @ kept * mean
+    second = sum(
+        w * (k * variance * np.eye(2) + np.outer(k * mean, k * mean)) for w, k in zip(weight, kept, strict=True)
+    )
+    covariance = second - np.outer(expected, expected) + 0.45**2 * np.outer(expected, expected)
+    found = _averaged(mean, variance, width, 7.0)
+    np.testing.assert_allclose(found[0], expected, rtol=1e-10)
+    np.testing.assert_allclose(found[1], covariance, rtol=1e-9, atol=1e-18)
+    assert found[2] == pytest.approx(1.0 - weight[0])
+    assert found[3] == 7.0
+
+
+def test_mean_displacement_of_stars_that_scatter():
+    """DerSimonian & Laird's estimate of the scatter on two axes, and none for two stars or where noise explains it."""
+    variance = np.array([0.01, 0.02, 0.04])
+    calm = np.array([[0.1, 0.0], [0.12, 0.01], [0.08, -0.01]])
+    mean, error = _pooled(calm, variance)
+    np.testing.assert_allclose(mean, np.average(calm, axis=0, weights=1.0 / variance))
+    assert error == pytest.approx(1.0 / 175.0)
+    wild = np.array([[1.0, 0.0], [-1.0, 0.5], [0.0, -1.0]])
+    centre = np.average(wild, axis=0, weights=1.0 / variance)
+    q = sum(np.sum((wild[n] - centre) ** 2) / variance[n] for n in range(3))
+    scatter = (q / 2.0 - 2.0) / (175.0 - (100.0**2 + 50.0**2 + 25.0**2) / 175.0)
+    mean, error = _pooled(wild, variance)
+    np.testing.assert_allclose(mean, np.average(wild, axis=0, weights=1.0 / (variance + scatter)))
+    assert error == pytest.approx(1.0 / np.sum(1.0 / (variance + scatter)))
+    assert _pooled(wild[:2], variance[:2])[1] == pytest.approx(1.0 / 150.0)
+
+
+def test_a_star_far_from_the_median_is_not_single():
+    """2·variance·6.9 is where the square of the distance ends, and a scatter of all stars widens it."""
+    assert list(_are_single(np.array([[0.0, 0.0]] * 5 + [[0.37, 0.0], [0.0, 0.38]]), np.full(7, 0.01))) == [
+        *[True] * 6,
+        False,
+    ]
+    ring = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [3.0, 0.0]])
+    assert list(_are_single(ring, np.full(5, 0.01))) == [True] * 5
+
+
+@pytest.mark.parametrize(("rejected", "stars"), [({}, 4), ({"hot pixel": 3}, 4), ({"hot pixel": 1, "edge": 9}, 0)])
+def test_odds_of_a_hot_pixel_are_those_of_the_frame(monkeypatch, rejected, stars):
+    """Of detections: those that were rejected as hot against those that were not, one each more; ten times less, as
+    those that are surely hot are rejected."""
+    given = []
+    nothing = np.zeros(stars, bool)
+    kind = type("Spots", (SimpleNamespace,), {"__len__": lambda _: stars})
+    spots = kind(rejected=rejected, saturated=nothing, edge=nothing)
+    starts = SimpleNamespace(x=np.zeros(stars), y=np.zeros(stars), half=np.ones(stars, int))
+    psf = SimpleNamespace(samples=None, shape=(0.7, 0.5, 0.1), sigma_px=0.8)
+    monkeypatch.setattr(psf_fit, "group_stars", lambda x, y, reach: reach)
+    monkeypatch.setattr(psf_fit, "fit_stars", lambda *_: np.full((stars, 8), 9.0))
+    monkeypatch.setattr(psf_fit, "_accepted", lambda *a: given.extend(a[4:]))
+    psf_fit._fit_image(SimpleNamespace(pixels=None), spots, np.zeros((stars, 6)), psf, starts, reweigh=True)
+    odds = (1 + rejected.get("hot pixel", 0)) / (1 + stars) / 10.0
+    assert given == pytest.approx([1.2, 2.0 * math.log(odds)])

@@ -242,6 +242,13 @@ def test_the_prior_of_a_prediction_is_five_standard_deviations_wide():
     assert watched.prior(0.999 * width) == (None, 1.0)
 
 
+def test_scale_factors_that_are_not_estimated_are_known_to_be_zero():
+    for noise, expected in ((RateNoise(), 0.0), (GyroNoise(scale_sigma=0.0), 0.0), (GyroNoise(scale_sigma=0.02), 0.02)):
+        mekf = Mekf(START, np.eye(3) * 1e-10, noise)
+        assert mekf.scale.tolist() == [0.0] * 3
+        assert mekf.scale_sigma.tolist() == pytest.approx([expected] * 3)
+
+
 def test_a_prediction_beyond_a_right_angle_is_no_longer_one():
     watched = WatchedFilter(RateNoise(), 1e-6)
     watched.predict(1.0, None)
