@@ -5,19 +5,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
-from startracker.centroid import psf_fit
-from startracker.centroid.asymmetry import _are_single, _averaged, _pooled
+from startracker.centroid import effective_psf, psf_fit
+from startracker.centroid.asymmetry import _are_single, _averaged, _fit_weighted, _parts, _pooled
+from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.effective_psf import _as_model, _Basis, _clean_stars
 from startracker.centroid.frame import SYSTEMATIC_PX, _covariances, collect, prepare
 from startracker.centroid.psf_fit import _accepted, _fill_starts, _half_of, _reach_of, _start_values
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.centroid.psf_shape import _gaussian_slopes, _is_ellipse, fit_gaussian, frame_psf
-from startracker.centroid.psf_sums import interpolate
+from startracker.centroid.psf_sums import fill_window, interpolate
+from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Peaks, Pixels
 from startracker.detection import Background, Spots
 from startracker.detection.plane import as_plane
@@ -184,6 +187,14 @@ def test_elongated_images_are_lines_where_these_fit_better(length, angle, is_lin
     ellipse = gaussian_psf(xx, yy, tilt, radius_px=psf.radius_px)
     middle = [model.shares(np.zeros(1), np.zeros(1)).item() for model in (psf, ellipse)]
     assert (middle[0] < 0.95 * middle[1]) is is_line
+
+
+def test_widths_of_a_frame_without_stars_to_measure():
+    """Those given, and no narrower than pixels show."""
+    image, xy, light = field((0.8, 1.0, 0.0))
+    for sigmas, expected in (((1.3, 0.9), (1.69, 0.81)), ((0.0, 2.0), (SMALLEST_SIGMA_PX**2, 4.0))):
+        psf = frame_psf(frame_of(image), spots_at(xy, light, range(len(xy))), starts_of(xy), sigmas, 6.0)
+        assert psf.shape == pytest.approx((*expected, 0.0))
 
 
 # ---------------------------------------------------------------------- what a fit is worth
@@ -362,10 +373,17 @@ def test_clean_stars_of_frames():
     assert len(_clean_stars(frames[:1], [beside], 4.4, 3, 400)[0]) == 9
     with pytest.raises(InputError, match="7 stars stand alone"):
         _clean_stars(frames[:1], [spots_at(xy[:7], light[:7])], 5.0, 4, 400)
-    # from the border a window and one pixel more
-    assert len(_clean_stars(frames[:1], spots[:1], 5.0, 17, 400)[0]) == 8
-    with pytest.raises(InputError, match="stars stand alone"):
-        _clean_stars(frames[:1], spots[:1], 5.0, 20, 400)
+
+
+def test_clean_stars_keep_a_window_and_one_pixel_from_the_border(monkeypatch):
+    monkeypatch.setattr(effective_psf, "_LEAST_STARS", 1)
+    image, xy, light = field((0.8, 1.0, 0.0), noise=2.0)
+    frame, spots, last = frame_of(image), spots_at(xy, light), np.array(image.shape[::-1]) - 1.0
+    left = [np.sum((np.minimum(xy, last - xy) > half + 1.0).all(axis=1)) for half in range(4, 40)]
+    assert len(set(left)) > 3
+    for half, count in zip(range(4, 40), left, strict=True):
+        if count:
+            assert len(_clean_stars([frame], [spots], 5.0, half, 400)[0]) == count
 
 
 # ---------------------------------------------------------------------- fits of stars
@@ -597,3 +615,84 @@ def test_odds_of_a_hot_pixel_are_those_of_the_frame(monkeypatch, rejected, stars
     psf_fit._fit_image(SimpleNamespace(pixels=None), spots, np.zeros((stars, 6)), psf, starts, reweigh=True)
     odds = (1 + rejected.get("hot pixel", 0)) / (1 + stars) / 10.0
     assert given == pytest.approx([1.2, 2.0 * math.log(odds)])
+
+
+def test_share_of_the_displacement_by_contrast():
+    """The module's integrals in polar coordinates, where x² averages to r²/2 and x⁴ to 3 r⁴/8."""
+
+    def displaced(contrast):
+        def integral(power_2, power_4):
+            def along_r(r):
+                light = math.exp(-0.5 * r * r)
+                return (power_2 * r**2 / 2.0 + power_4 * 3.0 * r**4 / 8.0) * light**2 / (1.0 + contrast * light) * r
+
+            return quad(along_r, 0.0, 8.0, epsrel=1e-10)[0]
+
+        return integral(-3.0, 1.0) / integral(1.0, 0.0)
+
+    assert displaced(0.0) == pytest.approx(-1.5)
+    at, share = _parts()
+    reference = displaced(REFERENCE_CONTRAST)
+    for k in (0, 1, 20, 40, 60, 80):
+        expected = (displaced(math.expm1(at[k])) - reference) / (-1.5 - reference)
+        assert share[k] == pytest.approx(expected, abs=1e-5)
+    assert (at[0], share[0]) == (0.0, 1.0)
+    assert np.interp(math.log1p(REFERENCE_CONTRAST), at, share) == pytest.approx(0.0, abs=1e-2)
+
+
+SIDE = 13
+
+
+def light_of(samples, x, y, flux=1.0):
+    """Light (N,) of a star in a window that begins at pixel (0, 0)."""
+    slopes, lines = np.empty((3, SIDE * SIDE)), np.empty((6, SIDE))
+    fill_window(samples, -x, -y, SIDE, SIDE, slopes, lines)
+    return flux * slopes[0]
+
+
+def weighted_fit(signal, star, contrast):
+    """Whether it succeeds, the position, and its derivatives by the pixels."""
+    work, slopes, lines = np.empty((3, SIDE * SIDE)), np.empty((3, SIDE * SIDE)), np.empty((6, SIDE))
+    work[0], work[1] = signal, 4.0
+    gains, at = np.zeros((2, SIDE * SIDE)), np.zeros(2)
+    samples = gaussian_psf(1.2, 0.9, 0.2, radius_px=9.0).samples
+    return _fit_weighted(samples, star, (0, 0, SIDE), contrast, work, slopes, lines, gains, at), at, gains
+
+
+@pytest.mark.parametrize("contrast", [0.0, 30.0])
+def test_a_fit_with_the_weights_of_a_contrast(contrast):
+    """Without noise it is where the star is, and one axis' position follows that of the star and not the other's."""
+    samples = gaussian_psf(1.2, 0.9, 0.2, radius_px=9.0).samples
+    done, at, gains = weighted_fit(light_of(samples, 6.2, 5.7, 1000.0), (6.15, 5.73, 990.0), contrast)
+    assert done
+    np.testing.assert_allclose(at, [6.2, 5.7], atol=2e-5)
+    step = 1e-4
+    for axis, (dx, dy) in enumerate([(step, 0.0), (0.0, step)]):
+        moved = light_of(samples, 6.15 + dx, 5.73 + dy, 990.0) - light_of(samples, 6.15 - dx, 5.73 - dy, 990.0)
+        np.testing.assert_allclose(gains @ moved / (2.0 * step), np.eye(2)[axis], atol=1e-5)
+    np.testing.assert_allclose(gains @ light_of(samples, 6.15, 5.73), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(1.9, 0.0), (0.0, 1.9), (-1.9, 0.0), (0.0, -1.9)])
+def test_steps_of_a_fit_with_weights_are_half_a_pixel(dx, dy):
+    samples = gaussian_psf(1.2, 0.9, 0.2, radius_px=9.0).samples
+    done, at, _ = weighted_fit(light_of(samples, 6.0 + dx, 6.0 + dy, 1000.0), (6.0, 6.0, 1000.0), 0.0)
+    assert done
+    assert np.abs(at - 6.0).max() <= 1.0 + 1e-12
+    assert (at - 6.0) @ np.sign([dx, dy]) > 0.8
+
+
+def test_a_fit_with_weights_of_pixels_that_are_no_numbers():
+    samples = gaussian_psf(1.2, 0.9, 0.2, radius_px=9.0).samples
+    signal = light_of(samples, 6.0, 6.0, 1000.0)
+    signal[80] = np.nan
+    assert not weighted_fit(signal, (6.0, 6.0, 1000.0), 0.0)[0]
+
+
+@pytest.mark.parametrize("contrast", [0.0, 30.0])
+@pytest.mark.parametrize("flux", [600.0, 1300.0])
+def test_the_flux_of_a_fit_with_weights_follows(contrast, flux):
+    """With the flux of the beginning or a wrong one the second step would be wrong by as much as the flux."""
+    samples = gaussian_psf(1.2, 0.9, 0.2, radius_px=9.0).samples
+    _, at, _ = weighted_fit(light_of(samples, 6.2, 5.7, 1000.0), (6.0, 5.9, flux), contrast)
+    np.testing.assert_allclose(at, [6.2, 5.7], atol=2e-3)
