@@ -15,7 +15,7 @@ from simulator.study.sequence.true_defects import compare_defects
 from startracker.calibration.lens_filter import LensUpdate
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.lens import change_lens
+from startracker.geometry.lens import change_lens
 from startracker.settings import DetectionSettings, OperationSettings
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracking.operation import Verdict
