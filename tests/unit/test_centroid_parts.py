@@ -23,7 +23,7 @@ from startracker.centroid.psf_sums import fill_window, interpolate
 from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Peaks, Pixels
 from startracker.detection import Background, Spots
-from startracker.detection.plane import as_plane
+from startracker.detection.tiles import as_plane
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings
 

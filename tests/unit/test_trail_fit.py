@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from startracker.centroid.result import Centroids
-from startracker.detection.plane import as_plane
+from startracker.detection.tiles import as_plane
 from startracker.geometry.camera import Camera
 from startracker.trails import Trails, mid_exposure
 from startracker.trails import motion as motion_module

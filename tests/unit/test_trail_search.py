@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import correlate1d
 
 from startracker.detection.background import Background
-from startracker.detection.plane import as_plane
+from startracker.detection.tiles import as_plane
 from startracker.settings import DetectionSettings
 from startracker.trails import find as find_module
 from startracker.trails import lines as lines_module
