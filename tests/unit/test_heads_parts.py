@@ -483,11 +483,13 @@ def test_the_body_at_all_rows_and_exposures(monkeypatch):
         np.testing.assert_allclose(state.body.as_matrix(), level, atol=1e-9)
         assert state.rate_rad_s[1] == pytest.approx(-2.0 * math.pi / orbit.period_s, rel=0.01)
         assert state.jitter is None
-    shaken = HeadsRunner(
+    jittered = HeadsRunner(
         Scenario.load("cubesat_ideal", overrides=[*keys, "pointing.jitter={rms_arcsec: [9, 9, 9], corner_hz: 1}"])
     )
-    scenes = shaken.cameras[0].renderer.scenes
-    for state, path in zip(shaken.states.values(), jitter_at(shaken.scenario, scenes, shaken.ends_s), strict=True):
+    scenes = jittered.cameras[0].renderer.scenes
+    for state, path in zip(
+        jittered.states.values(), jitter_at(jittered.scenario, scenes, jittered.ends_s), strict=True
+    ):
         expected = path.mean(0.1) @ MOUNTINGS["orbit_normal"].as_matrix()
         np.testing.assert_allclose(state.jitter.mean(0.1), expected, atol=1e-15)
         assert np.abs(expected).max() > 1e-6
@@ -574,10 +576,10 @@ def test_a_head_sees_the_motion_of_the_body_in_its_own_axes(build):
     assert given["attitude"].angle_to(still.camera) < 1e-12
     np.testing.assert_allclose(given["rate_camera_rad_s"], still.rate_camera_rad_s)
     np.testing.assert_allclose(axes[0], mounting.as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(BODY.rotation_vector_to(state.shaken(1e-3)), [1e-3, 0.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(state.shaken_rate_rad_s(0.5), RATE + np.array([0.0, 0.5, 0.0]))
-    assert state._replace(jitter=None).shaken(1e-3) is BODY
-    assert state._replace(jitter=None).shaken_rate_rad_s(1.0) is RATE
+    np.testing.assert_allclose(BODY.rotation_vector_to(state.jittered(1e-3)), [1e-3, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(state.jittered_rate_rad_s(0.5), RATE + np.array([0.0, 0.5, 0.0]))
+    assert state._replace(jitter=None).jittered(1e-3) is BODY
+    assert state._replace(jitter=None).jittered_rate_rad_s(1.0) is RATE
 
 
 def test_columns_of_a_head(build):

@@ -143,7 +143,7 @@ def test_the_effective_number_of_a_fused_attitude_is_that_of_its_errors():
 @pytest.mark.parametrize(
     ("errors", "effective"),
     [
-        ((1, 1), 2.0),  # a single lag is no pair
+        ((1, 1), 2.0),  # a single lag is not a pair
         ((1, 1, 1), 3.0 / (1.0 + 2.0 * (4.0 + 1.0) / 9.0)),
         ((1, 0, 0, 1, 0), 5.0),  # the first pair is zero: what follows is not summed, though it is positive
         ((1, 1, -1, 1, 1), 5.0),  # products 5, 0, −1, 2, 1

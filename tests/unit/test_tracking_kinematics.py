@@ -58,7 +58,7 @@ def test_series_and_closed_forms_meet():
 @pytest.mark.parametrize("states", [6, 9, 12])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_propagation_with_its_noise(states, sign):
-    """Covariances by the transition of all states, and the noise of angle, rate and a rate that is no state."""
+    """Covariances by the transition of all states, and the noise of angle, rate and a rate that is not a state."""
     rng = np.random.default_rng(1)
     rate, dt, (angle, second, extra) = RATES["fast"], 0.7, (1e-6, 3e-5, 2e-5)
     root = rng.normal(size=(states, states)) * 1e-3

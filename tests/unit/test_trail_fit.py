@@ -130,7 +130,7 @@ def test_what_cannot_be_fitted():
 
 
 def test_width_and_length_stay_within_limits():
-    """A point is no shorter than half a pixel, and no image four times as wide as it began."""
+    """A point is not a shorter than half a pixel, and no image four times as wide as it began."""
     narrow = TRAIL.copy()
     narrow[5], narrow[6] = 0.5, 1.1
     start = narrow.copy()
@@ -146,7 +146,7 @@ def test_width_and_length_stay_within_limits():
 # ---------------------------------------------------------------------- light along a line
 @pytest.mark.parametrize("angle", [0.0, 0.6, 2.2])
 def test_light_along_a_line_is_that_of_a_plain_loop(angle):
-    """Five pixels across, weighted; clipped at −4 and +8 times the noise; what is no number or outside is dark."""
+    """Five pixels across, weighted; clipped at −4 and +8 times the noise; what is not a number or outside is dark."""
     image = image_of(TRAIL, seed=5)
     image[20:24, 30] = 1e4
     image[30:33, 36] = -1e4
