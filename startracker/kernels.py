@@ -1,194 +1,166 @@
-"""Compilation of kernels, and clocks that exclude the compile time.
+"""Kernels: functions compiled by numba on their first use and kept on disk.
 
-Kernels are compiled by numba on first use and cached on disk; `startracker.compilation` shows the progress.
+Everything here uses numba's documented interface: `numba.njit`, and the events of `numba.core.event`, by which compile
+time is measured and announced.
 """
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import hashlib
-import os
+import multiprocessing
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-with contextlib.suppress(ImportError):
-    import fcntl
-
-from numba import njit, types
+import numpy as np
+from numba import njit
 from numba.core import event
 
-from startracker.compilation import expected_kernels, progress
-from startracker.compiler import shortcuts
-
-_OPTIONS = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-_OURS = ("startracker.", "simulator.")
+_PACKAGES = ("startracker", "simulator")
+_SILENT_S = 0.5
+"""Compile time after which the terminal shows it."""
+_CLEAR_LINE = "\r\x1b[K"
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Decorator: the function is compiled on its first call, once per combination of types.
+    """Decorator: the function is compiled on its first call, once for each combination of types.
 
-    Division is that of NumPy, which allows loops to be vectorised. Unused wrappers for callers in C are omitted, and
-    constants in calls from other kernels are treated as any other number: numba would compile the function for each
-    constant.
+    Division is that of NumPy, which allows loops to use vector instructions.
     """
-    return _compiled(function)
+    return kernel_with()(function)
 
 
 def kernel_part(function: Callable[..., Any]) -> Any:
-    """Decorator: the function is compiled as a part of the kernels that call it, which are few.
+    """Decorator: the function becomes a part of each kernel that calls it.
 
-    A kernel's machine code contains that of all kernels which it calls, optimised again; a chain of five is compiled
-    five times. Parts are compiled once for each call.
+    For functions of few statements or with one caller. The machine code of a kernel contains that of all the kernels it
+    calls, optimised again, so that the last of a chain of five is compiled five times.
     """
-    return _compiled(function, inline="always")
-
-
-def pixel_kernel(function: Callable[..., Any]) -> Any:
-    """Decorator like `kernel`, for loops over many numbers such as pixels: they use vector instructions.
-
-    Loops over a few stars are faster without, and compiled sooner.
-    """
-    return _compiled(function, vectorised=True)
+    return kernel_with(inline="always")(function)
 
 
 def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator like `pixel_kernel`, with additional options of `numba.njit`."""
-    return lambda function: _compiled(function, vectorised=True, **options)
+    """Decorator like `kernel`, with additional options of `numba.njit`."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+        _remove_stale_files(function, Path(dispatcher.stats.cache_path))
+        return dispatcher
+
+    return compiled
 
 
-def _compiled(function: Callable[..., Any], vectorised: bool = False, **options: Any) -> Any:
-    dispatcher = njit(**_OPTIONS, **options)(function)
-    resolve = dispatcher.get_call_template
-
-    def resolve_numbers(arguments: tuple[types.Type, ...], named: dict[str, types.Type]) -> Any:
-        plain = {name: types.unliteral(argument) for name, argument in named.items()}
-        return resolve(tuple(map(types.unliteral, arguments)), plain)
-
-    dispatcher.get_call_template = resolve_numbers
-    compile_now, name = dispatcher.compile, f"{function.__module__}:{function.__qualname__}"
-
-    def compile_once(signature: Any) -> Any:
-        with _held(Path(dispatcher.stats.cache_path), name), shortcuts(vectorised):
-            try:
-                return compile_now(signature)
-            except (AttributeError, ImportError):  # the cache names a class of an earlier version, which is gone
-                dispatcher._cache.flush()
-                return compile_now(signature)
-
-    dispatcher.compile = compile_once
-    return dispatcher
+_sources: dict[str, str] = {}
+"""Digest of the sources of each module with kernels."""
 
 
-@contextmanager
-def _held(folder: Path, name: str) -> Iterator[None]:
-    """Lock a kernel, so that one process compiles it and the others load it from disk.
+def _remove_stale_files(function: Callable[..., Any], folder: Path) -> None:
+    """Delete the compiled kernels of the function's module if what they import has changed.
 
-    A byte of a file in the cache folder represents the kernel; the lock is released when the process ends. Without file
-    locks (Windows, some network drives) several processes may compile the same kernel.
+    numba compares the date of a kernel's own file only. A change in another file, to a kernel that it calls or to a
+    constant, would go unnoticed, and a class that is gone would be an error when numba reads its index.
     """
-    byte = int.from_bytes(hashlib.sha256(name.encode()).digest()[:7], "little")
-    file = None
-    try:
-        file = _lock_file(folder)
-        _wait_for_lock(file, byte)
-    except (OSError, NameError):
-        file = None
-    try:
-        yield
-    finally:
-        if file is not None:
-            fcntl.lockf(file, fcntl.LOCK_UN, 1, byte)
-
-
-def _wait_for_lock(file: int, byte: int) -> None:
-    """Lock a byte; waiting for the process that compiles the kernel counts as compiling."""
-    try:
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
+    name = function.__module__
+    if name in _sources:  # the first kernel of a module decides for all, as imports precede it
         return
-    except (BlockingIOError, PermissionError):
-        progress.begin(_on_disk)
+    _sources[name] = digest = _digest(name, function.__globals__)
+    stem = Path(function.__code__.co_filename).stem
+    stamp = folder / f"{stem}.sources"
+    with contextlib.suppress(OSError):
+        if not stamp.exists() or stamp.read_text(encoding="ascii") != digest:
+            for file in (*folder.glob(f"{stem}.*.nbi"), *folder.glob(f"{stem}.*.nbc")):
+                file.unlink(missing_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
+            stamp.write_text(digest, encoding="ascii")
+
+
+def _digest(name: str, variables: dict[str, Any]) -> str:
+    """Digest of the files from which a module imports, and of its constants so far."""
+    modules, constants = set(), []
+    for variable, value in sorted(variables.items()):
+        module = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None) or ""
+        if module != name and module.partition(".")[0] in (*_PACKAGES, name.partition(".")[0]):
+            modules.add(module)
+        constants.append(f"{variable}={_constant(value)}")
+    states = [f"{module}={_sources.get(module, '')}{_state(module)}" for module in sorted(modules)]
+    return hashlib.sha256("\n".join(states + constants).encode()).hexdigest()
+
+
+def is_on_disk(kernel: Any) -> bool:
+    """Whether a kernel has been compiled earlier, for some types."""
+    function = kernel.py_func
+    stem = Path(function.__code__.co_filename).stem
+    return any(Path(kernel.stats.cache_path).glob(f"{stem}.{function.__qualname__}-*.nbi"))
+
+
+def _constant(value: Any) -> str:
+    """Text of a number, an array, or a tuple of these; empty for everything else."""
+    if isinstance(value, tuple):
+        return ",".join(map(_constant, value))
+    if isinstance(value, np.ndarray):
+        return value.tobytes().hex()
+    return repr(value) if isinstance(value, bool | int | float | np.number) else ""
+
+
+def _state(module: str) -> str:
+    """Size and date of a module's file."""
+    found = Path(sys.modules[module].__file__ or "").stat()
+    return f"{found.st_size},{found.st_mtime_ns}"
+
+
+class _CompileTime(event.Listener):  # type: ignore[misc]  # numba has no types
+    """Measures the time spent compiling and shows it on the terminal, in one line that is removed in the end.
+
+    numba compiles under a lock, so that events of different threads do not mix; kernels called by a kernel are compiled
+    within it.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = self.processor_s = 0.0
+        self._depth = self._count = 0
+        self._began = self._processor_began = 0.0
+
+    def on_start(self, seen: event.Event) -> None:
+        if not self._depth:
+            self._began, self._processor_began = time.perf_counter(), time.process_time()
+        self._depth += 1
+        self._count += 1
+        elapsed_s = self.seconds + time.perf_counter() - self._began
+        if elapsed_s > _SILENT_S and _has_terminal():
+            line = f"Compiling kernels, once for this installation: {self._count} so far, {elapsed_s:.0f} s"
+            print(f"{_CLEAR_LINE}{line}", end="", file=sys.stderr, flush=True)
+
+    def on_end(self, seen: event.Event) -> None:
+        self._depth -= 1
+        if not self._depth:
+            self.seconds += time.perf_counter() - self._began
+            self.processor_s += time.process_time() - self._processor_began
+            if self.seconds > _SILENT_S and _has_terminal():
+                print(_CLEAR_LINE, end="", file=sys.stderr, flush=True)
+
+
+def _has_terminal() -> bool:
+    """Whether this is a process with a terminal, not one of its workers."""
     try:
-        fcntl.lockf(file, fcntl.LOCK_EX, 1, byte)
-    finally:
-        progress.end(None)
+        return sys.stderr.isatty() and multiprocessing.parent_process() is None
+    except (AttributeError, ValueError):  # no standard error, or a closed one
+        return False
 
 
-@cache
-def _lock_file(folder: Path) -> int:
-    """Descriptor of the lock file, open for the lifetime of the process, as closing it would release the locks."""
-    folder.mkdir(parents=True, exist_ok=True)
-    return os.open(folder / ".compiling", os.O_RDWR | os.O_CREAT)
+compile_time = _CompileTime()
+"""Compile time of this process."""
+event.register("numba:compile", compile_time)
 
 
 def clock() -> float:
     """Seconds as from `time.perf_counter`, without the time spent compiling kernels."""
-    return time.perf_counter() - progress.seconds
+    return time.perf_counter() - compile_time.seconds
 
 
 def processor_clock() -> float:
     """Seconds as from `time.process_time`, without the time spent compiling kernels."""
-    return time.process_time() - progress.processor_s
-
-
-class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Forwards events of the compiler, and suspends garbage collection.
-
-    Its millions of small objects live until a kernel is finished; collecting among them takes a tenth of the time.
-    """
-
-    def __init__(self) -> None:
-        self._depth, self._collects = 0, False
-
-    def on_start(self, seen: event.Event) -> None:
-        if not self._depth:
-            self._collects = gc.isenabled()
-            gc.disable()
-        self._depth += 1
-        progress.begin(_on_disk)
-
-    def on_end(self, seen: event.Event) -> None:
-        function = seen.data["dispatcher"].py_func
-        ours = function.__module__.startswith(_OURS)
-        progress.end(f"{function.__module__}:{function.__qualname__}" if ours else None)
-        self._depth -= 1
-        if not self._depth and self._collects:
-            gc.enable()
-
-
-def is_compiled(task: str) -> bool:
-    """Whether most kernels of a task are on disk, according to `startracker.compilation.expected_kernels`."""
-    if task not in _compiled_tasks:
-        expected = expected_kernels(task)
-        if 2.0 * sum(expected[name] for name in _on_disk(expected)) <= sum(expected.values()):
-            return False
-        _compiled_tasks.add(task)
-    return True
-
-
-_compiled_tasks: set[str] = set()
-
-
-def _on_disk(names: Iterable[str]) -> list[str]:
-    """Those of the kernels of loaded modules that a process has compiled."""
-    listed: dict[Path, set[str]] = {}
-    found = []
-    for name in names:
-        module, _, function = name.partition(":")
-        dispatcher = getattr(sys.modules.get(module), function, None)
-        if dispatcher is None or not hasattr(dispatcher, "stats"):  # not loaded, or no longer a kernel
-            continue
-        folder = Path(dispatcher.stats.cache_path)
-        if folder not in listed:
-            listed[folder] = {file.name.rpartition("-")[0] for file in folder.glob("*.nbi")}
-        if f"{module.rpartition('.')[2]}.{function}" in listed[folder]:
-            found.append(name)
-    return found
-
-
-event.register("numba:compile", _Listener())
+    return time.process_time() - compile_time.processor_s

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel, kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 _INFINITE_BITS = int(np.float32(np.inf).view(np.int32))
 
@@ -35,7 +35,7 @@ def sort(values: NDArray[Any]) -> None:
         values[parent] = value
 
 
-@pixel_kernel
+@kernel
 def ranked(values: NDArray[np.float32], rank: int) -> tuple[float, float]:
     """Values at a rank and at the next one of finite numbers if they were sorted; the last has itself as the next.
 

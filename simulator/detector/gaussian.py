@@ -19,7 +19,7 @@ import numpy as np
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 TAIL = np.float32(3.66)
 """Start of the tails."""
@@ -64,7 +64,7 @@ def tail_words(word: np.uint32) -> np.int32:
     return np.int32(_LARGEST - _words_to_middle(word))
 
 
-@pixel_kernel
+@kernel
 def gaussian_from_bits(bits: Bits, out: SingleArray) -> None:
     """Φ⁻¹((bits + ½)/2³²) in single precision into `out` (≥ N,); in the tails only some value beyond `TAIL`."""
     for i in range(bits.size):

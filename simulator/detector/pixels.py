@@ -34,7 +34,7 @@ from simulator.detector.steps import (
 from simulator.randomness import Streams
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 _VALUES = 3
 
@@ -108,7 +108,7 @@ class PixelPipeline:
             raise InputError(f"the mean electrons of a pixel must be in 0 to {LARGEST_MEAN:g}")
 
 
-@pixel_kernel
+@kernel
 def _run(signal: FloatArray, collection: Collection, exposure_s: float, program: Program, out: NDArray[Any]) -> int:
     """Kernel of `PixelPipeline.run`; returns the number of the step that rejected the signal, or −1."""
     bits, one, two = np.empty(TILE, np.uint32), np.empty(TILE, np.float32), np.empty(TILE, np.float32)

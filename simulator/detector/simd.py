@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 BLOCK = 64
 
@@ -53,7 +53,7 @@ def polynomial(typing_context: Any, x: Any, coefficients: Any) -> Any:
     return types.float32(types.float32, coefficients), generate
 
 
-@pixel_kernel
+@kernel
 def outside(values: NDArray[Any], low: float, high: float) -> int:
     """Number of the values (N,) that are not in low … high; NaN counts as outside."""
     count = np.int32(0)

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 _TAIL = 1e-17
 """Trails are truncated below this fraction of a packet."""
@@ -62,7 +62,7 @@ def late_shares(pixels: int, cti: float) -> FloatArray:
     return table
 
 
-@pixel_kernel
+@kernel
 def trail(electrons: FloatArray, late_rows: FloatArray, late_columns: FloatArray) -> FloatArray:
     """Parallel transfer towards row 0, line[r] = Σₖ late_rows[k, r − k] electrons[r − k], and serial transfer of each
     line towards column 0, out[r, x] = Σₖ late_columns[k, x − k] line[r, x − k]; a new array."""

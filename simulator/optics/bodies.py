@@ -19,7 +19,7 @@ from simulator.optics.splat import render_stars
 from startracker.arrays import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 CONVOLVED_PX = 256.0
 """Larger disks are rendered without blur: their radius is a hundred times the width of a PSF."""
@@ -212,7 +212,7 @@ def _samples(radius_cells: float) -> int:
     return min(max(math.ceil(256.0 / radius_cells), 2), 32)
 
 
-@pixel_kernel
+@kernel
 def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, disk: LitDisk, samples: int) -> None:
     """Kernel: light of a lit sphere with its radii in cells of `image`, sampled at `samples`² points per cell, added
     with `amounts` (K,) at the centres (K, 2)."""

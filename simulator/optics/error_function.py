@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 _PER_UNIT, _END = 16, 6
 """Points per unit, and the argument from which the function is 1 to all digits."""
@@ -46,7 +46,7 @@ def error_function(x: float) -> float:
     return value if x >= 0.0 else -value
 
 
-@pixel_kernel
+@kernel
 def shares_of_pixels(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
     """Kernel: fraction of a Gaussian at `centre` in each of the pixels first … last of a line; `scale` is 1/σ√2."""
     low = error_function((first - 0.5 - centre) * scale)

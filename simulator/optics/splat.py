@@ -13,7 +13,7 @@ from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 
 def render_stars(
@@ -85,7 +85,7 @@ def _tabulated(
     return _Stars(xy, weights, electrons, radius, whole), psf.core, psf.phases, wings
 
 
-@pixel_kernel
+@kernel
 def add_gaussians(
     image: FloatArray,
     xy: FloatArray,
@@ -143,7 +143,7 @@ class _Work(NamedTuple):
     """A row of the wings, and the sum of their rows."""
 
 
-@pixel_kernel
+@kernel
 def add_tabulated(
     image: FloatArray, stars: _Stars, core: NDArray[np.float64] | NDArray[np.float32], phases: int, wings: Wings
 ) -> None:
@@ -208,7 +208,7 @@ def _add_moments(moments: FloatArray, dx: float, dy: float, amount: float) -> No
     moments[5] += amount * dy * dy
 
 
-@pixel_kernel
+@kernel
 def _add_pixel(
     image: FloatArray, work: _Work, pixel: tuple[int, int], radius: float, whole: float, wings: Wings
 ) -> None:

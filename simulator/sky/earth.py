@@ -19,7 +19,7 @@ from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
 from startracker.arrays import BoolArray, FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
@@ -259,7 +259,7 @@ def _pieces(r_km: FloatArray, rings: int, sectors: int) -> tuple[FloatArray, flo
     return pieces.reshape(-1, 3), 2.0 * math.pi * span / (rings * sectors) / math.radians(1.0) ** 2
 
 
-@pixel_kernel
+@kernel
 def _radiance(
     out: FloatArray, lines: FloatArray, r: FloatArray, sun: FloatArray, albedo: float, sun_s10: float
 ) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from startracker.arrays import FloatArray
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 from startracker.observer import aberrated
 
 
-@pixel_kernel
+@kernel
 def apparent_directions(
     start: FloatArray, motion: FloatArray, parallax: FloatArray, years: float, position_au: FloatArray, beta: FloatArray
 ) -> FloatArray:

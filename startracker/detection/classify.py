@@ -15,7 +15,7 @@ from startracker.detection.shapes import PEAK_SHARE
 from startracker.detection.sources import Searched, Sources
 from startracker.detection.surroundings import Stamp, is_clutter, new_stamp
 from startracker.detection.thresholds import LOOKED_AT, LOOKED_AT_MORE, ONE_PIXEL_SHARE
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 Flags = NDArray[np.bool_]
 
@@ -134,7 +134,7 @@ class _Examined:
         return kind
 
 
-@pixel_kernel
+@kernel
 def _judge(
     searched: Searched, table: Sources, which: IntArray, sharpness: Sharpness, marks: _Marks,
     limits: tuple[float, float], stamp: Stamp, kind: IntArray,

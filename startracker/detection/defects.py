@@ -21,7 +21,7 @@ from startracker.detection.thresholds import (
     MOSTLY_ALONE,
 )
 from startracker.detection.values import Image, is_value
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 FloatImage = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -55,7 +55,7 @@ def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, 
     return np.where(bad, np.float32(np.nan), pixels), int(np.count_nonzero(bad))
 
 
-@pixel_kernel
+@kernel
 def _last_light(image: FloatImage, middle: float, limit: float) -> float:
     """Upper end of the values before the first gap beyond a limit, as distances from the middle; infinite for none.
 
@@ -97,7 +97,7 @@ def mask_impulses(pixels: Image, background: Background) -> tuple[Image, int]:
     return np.where(bad, np.float32(np.nan), pixels.astype(np.float32, copy=False)), count
 
 
-@pixel_kernel
+@kernel
 def _impulses(image: Image, level: Plane, noise: Plane) -> tuple[Flags, int, int]:
     """Hot pixels, how many have no bright neighbour, and how many bright pixels are hot or the highest of nine."""
     height, width = image.shape
@@ -132,7 +132,7 @@ def fill_gaps(pixels: Image) -> Image:
     return np.asarray(_filled(pixels))
 
 
-@pixel_kernel
+@kernel
 def _filled(image: FloatImage) -> FloatImage:
     height, width = image.shape
     out = image.copy()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from startracker.arrays import IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 _LINE = 16
 """Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
@@ -198,7 +198,7 @@ class _Found(NamedTuple):
     sample: FloatImage
 
 
-@pixel_kernel
+@kernel
 def _search(
     image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int, space: _Space,
     out: _Found,
@@ -292,7 +292,7 @@ def runs_above(
     return runs[: 3 * count].copy().reshape(-1, 3), signal[:values].copy()
 
 
-@pixel_kernel
+@kernel
 def _cut_groups(
     groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float, runs: IntArray, signal: FloatImage
 ) -> tuple[int, int]:

@@ -10,7 +10,7 @@ import numpy as np
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 SHAPE_COLUMNS = 5
 """Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
@@ -85,7 +85,7 @@ def _read_window(
     return plain, highest
 
 
-@pixel_kernel
+@kernel
 def _measure(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight: Weight, shapes: FloatArray) -> None:
     """Shapes (N, 5) of candidates at pixels x, y (N, 2): see `measure_shapes`."""
     w, centred = weight.variance, weight.centred

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
-from startracker.kernels import kernel_part, pixel_kernel
+from startracker.kernels import kernel, kernel_part
 
 FloatImage = NDArray[np.float32]
 
@@ -57,7 +57,7 @@ def filter_stamp(
                     out[j * pitch + i] = np.nan
 
 
-@pixel_kernel
+@kernel
 def _correlate(
     values: FloatImage, start: int, half: FloatImage, step: int, out: FloatImage, to: int, count: int
 ) -> None:

@@ -13,7 +13,7 @@ from startracker.detection.plane import Plane
 from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES
 from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics
 from startracker.detection.values import Image, is_value
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 FloatImage = NDArray[np.float32]
 
@@ -39,7 +39,7 @@ def has_structure(image: Image, background: Background) -> bool:
     return bool(_is_quiet(image, background.noise_plane))
 
 
-@pixel_kernel
+@kernel
 def _is_quiet(image: Image, noise: Plane) -> bool:
     """Whether the robust standard deviation of the differences of a thousand pixels, in units of the background's
     noise, is below the limit in both directions, and not zero in one: the medians are compared by counting."""
@@ -91,7 +91,7 @@ def follow_structure(image: Image, tile_px: int = 64) -> Background:
     return Background(plane, interpolate_tiles(np.maximum(smooth_tiles(noise), floor), height, width, False))
 
 
-@pixel_kernel
+@kernel
 def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
     """Mean of each of rows × columns bins without its highest and its lowest pixel; NaN of no pixel."""
     height, width = image.shape

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel_part, kernel_with, pixel_kernel
+from startracker.kernels import kernel, kernel_part, kernel_with
 from startracker.sorting import ranked
 
 Tile = tuple[int, int, int, int]
@@ -179,7 +179,7 @@ def smooth_tiles(tiles: FloatArray) -> FloatArray:
     return out
 
 
-@pixel_kernel
+@kernel
 def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
     rows, columns = tiles.shape[1], tiles.shape[2]
     for n in range(len(tiles)):
@@ -235,7 +235,7 @@ def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: b
     return Plane(lines, cell, share.astype(np.float32))
 
 
-@pixel_kernel
+@kernel
 def _interpolate(tiles: FloatArray, first: NDArray[np.int64], share: FloatArray, lines: NDArray[np.float32]) -> None:
     for r in range(len(tiles)):
         for cell in range(len(first) - 1):

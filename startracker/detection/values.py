@@ -11,7 +11,7 @@ from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import InputError
-from startracker.kernels import pixel_kernel
+from startracker.kernels import kernel
 
 Image = NDArray[np.float32] | NDArray[np.uint16]
 """What kernels read: float32 of which some may not be finite, or uint16."""
@@ -72,7 +72,7 @@ def _is_whole(image: Any) -> Callable[[Any], bool]:
     return found
 
 
-@pixel_kernel
+@kernel
 def whole_range(image: NDArray[np.uint16], least: int) -> tuple[int, int, int]:
     """Lowest and highest value of an image of integers, and how many are at least `least`, in one pass."""
     lowest, highest, count = image[0, 0], image[0, 0], 0

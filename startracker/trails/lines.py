@@ -12,7 +12,7 @@ from startracker.arrays import FloatArray
 from startracker.detection.matched import matched_kernel, quantiles
 from startracker.detection.motion import motion_at
 from startracker.detection.plane import Plane
-from startracker.kernels import kernel, pixel_kernel
+from startracker.kernels import kernel
 
 FloatImage = NDArray[np.float32]
 
@@ -35,7 +35,7 @@ _BIN_MIDDLE = np.array([0.5, 0.5, 0.0, 0.0])
 """A bin's middle from its corner, in the columns of a line."""
 
 
-@pixel_kernel
+@kernel
 def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     """Residual / noise summed over squares, divided by `side`: white noise keeps standard deviation 1.
 
@@ -64,7 +64,7 @@ def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     return out
 
 
-@pixel_kernel
+@kernel
 def best_lines(
     bins: FloatImage, slopes: FloatArray, every: NDArray[np.int64], spans: NDArray[np.int64]
 ) -> tuple[FloatImage, NDArray[np.int32]]:

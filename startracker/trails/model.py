@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part, kernel_with, pixel_kernel
+from startracker.kernels import kernel, kernel_part, kernel_with
 
 FloatImage = NDArray[np.float32]
 
@@ -39,7 +39,7 @@ _WEIGHT, _REST, _SCALED, _ALONG, _FIRST, _LAST = range(LINE, WORK_ROWS)
 trail, and the densities at its two ends."""
 
 
-@pixel_kernel
+@kernel
 def residual_of(image: Image, level: Plane, saturation: float) -> FloatImage:
     """Image minus background, DN; not a number where the image is not finite or saturated."""
     height, width = image.shape
@@ -234,7 +234,7 @@ def set_light(pixels: FloatArray, p: FloatArray, work: FloatArray, normal: Float
     p[FLUX] += more
 
 
-@pixel_kernel
+@kernel
 def subtract_trail(residual: FloatImage, p: FloatArray, sign: float) -> None:
     """Subtract a trail from the residual in place (`sign` −1: add it again); its sky is left."""
     cos, sin, narrow = math.cos(p[ANGLE]), math.sin(p[ANGLE]), 1.0 / p[SIGMA]

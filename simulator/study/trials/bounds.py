@@ -150,12 +150,12 @@ def fisher_of_position(
     """Fisher matrices (N, 2, 2) of positions from images of unit flux, their derivatives, and variances (N, M, M);
     pixels with infinite variance are ignored."""
     out = np.empty((len(flux), 2, 2))
-    _fisher(out, share, slope_x, slope_y, np.asarray(flux, dtype=float), variance)
+    fill_fisher(out, share, slope_x, slope_y, np.asarray(flux, dtype=float), variance)
     return out
 
 
 @kernel
-def _fisher(
+def fill_fisher(
     out: FloatArray, share: FloatArray, slope_x: FloatArray, slope_y: FloatArray, flux: FloatArray, variance: FloatArray
 ) -> None:
     """Kernel of `fisher_of_position`."""
