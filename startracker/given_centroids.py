@@ -11,7 +11,7 @@ from startracker.arguments import real_array
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel
 from startracker.sorting import order_of_columns
 from startracker.survey import plain
 
@@ -99,7 +99,7 @@ def _usable(points: FloatArray, flux: FloatArray, width: int, height: int) -> tu
     return xy[:left], signal[: left if sorts else 0], chosen[:left]
 
 
-@kernel_part
+@kernel
 def _first_of_each(points: FloatArray) -> NDArray[np.bool_]:
     """Mask (N,) of points without an earlier point within `SAME_STAR_PX` on both axes."""
     alone, x = np.ones(len(points), np.bool_), np.empty((1, len(points)))

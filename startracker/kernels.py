@@ -29,16 +29,17 @@ _CLEAR_LINE = "\r\x1b[K"
 def kernel(function: Callable[..., Any]) -> Any:
     """Decorator: the function is compiled on its first call, once for each combination of types.
 
-    Division is that of NumPy, which allows loops to use vector instructions.
+    Division is that of NumPy, which allows loops to use vector instructions. numba has a type for each integer constant
+    in a call from another kernel: pass ``np.int64(3)`` where different constants would compile the function again.
     """
     return kernel_with()(function)
 
 
 def kernel_part(function: Callable[..., Any]) -> Any:
-    """Decorator: the function becomes a part of each kernel that calls it.
+    """Decorator: the function's statements are copied into each kernel that calls it.
 
-    For functions of few statements or with one caller. The machine code of a kernel contains that of all the kernels it
-    calls, optimised again, so that the last of a chain of five is compiled five times.
+    For up to some ten statements: a function of its own takes 0.1 to 0.3 s to compile, and the time for the types of
+    a kernel grows with the square of its length.
     """
     return kernel_with(inline="always")(function)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel
 
 _SETTLED = 1e-9
 """Excess charge relative to the full well that is neglected."""
@@ -76,7 +76,7 @@ def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float,
     return out
 
 
-@kernel_part
+@kernel
 def _sweep(electrons: FloatArray, excess: FloatArray, column: int, full_well_e: float) -> float:
     """Move half of the excess up and half down to the nearest free capacity; both use the same capacity."""
     rows = excess.size

@@ -66,7 +66,7 @@ _STIRLING = np.array(
 """ln n! − (n + ½) ln n + n − ½ ln 2π for n = 0 to 15."""
 
 
-@kernel_part
+@kernel
 def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: SingleArray, number: SingleArray) -> bool:
     """Replace the means of the pixels first, first + 1, … by Poisson deviates; returns False if one of the means is
     negative, NaN or above `LARGEST_MEAN`.
@@ -117,7 +117,7 @@ def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleA
         signal[i] = np.float64(number[i]) if number[i] >= _ZERO else signal[i]
 
 
-@kernel_part
+@kernel
 def expand(mean: SingleArray, number: SingleArray) -> None:
     """Quantiles by the expansion, from the Gaussian ones in `number`, replaced; −1 where it does not settle."""
     for i in range(number.size):
@@ -178,7 +178,7 @@ def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
         number[i] = found if rate < LOWEST else number[i]
 
 
-@kernel_part
+@kernel
 def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     """Smallest n with P(≤ n) > u, u = (word + fraction)/2³², from the distribution function in double precision.
 

@@ -15,7 +15,7 @@ from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import ForceModel
 from simulator.mission.trajectory import GM_KM3_S2, centre_state
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel
 
 BODIES = {
     "Earth": ("Sun", "Moon"),
@@ -85,7 +85,7 @@ def _derivative(y: FloatArray, block: FloatArray, at: float, gm: FloatArray, zon
     return out
 
 
-@kernel_part
+@kernel
 def acceleration(
     r_km: FloatArray, pole: FloatArray, bodies_km: FloatArray, gm_km3_s2: FloatArray, zonals: FloatArray
 ) -> FloatArray:

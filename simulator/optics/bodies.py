@@ -19,7 +19,7 @@ from simulator.optics.splat import render_stars
 from startracker.arrays import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel
 
 CONVOLVED_PX = 256.0
 """Larger disks are rendered without blur: their radius is a hundred times the width of a PSF."""
@@ -240,7 +240,7 @@ def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, di
                 image[top + j, left + i] += scale * box[j, i]
 
 
-@kernel_part
+@kernel
 def _light_of_cell(x: float, y: float, disk: LitDisk, samples: int) -> float:
     """Sum of the scattering law over `samples`² points of the cell at (x, y) from the centre of the disk."""
     offset, bend = disk.limb[0], 0.5 * disk.limb[1]

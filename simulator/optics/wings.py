@@ -9,7 +9,7 @@ import numpy as np
 
 from simulator.optics.psf_table import TAPER_PX, smooth_step
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
 
 _smooth_step = kernel_part(smooth_step)
 
@@ -27,7 +27,7 @@ class Wings(NamedTuple):
     """Half of the side of the stamp, which contains the core."""
 
 
-@kernel_part
+@kernel
 def add_wings(
     image: FloatArray, lines: FloatArray, moments: FloatArray, pixel: tuple[int, int], radius: float, wings: Wings
 ) -> float:
@@ -55,7 +55,7 @@ def add_wings(
     return total
 
 
-@kernel_part
+@kernel
 def _add_wing(
     image: FloatArray,
     lines: FloatArray,
@@ -94,7 +94,7 @@ def _add_wing(
     return total
 
 
-@kernel_part
+@kernel
 def _fill_line(
     line: FloatArray,
     ends: tuple[int, int],
@@ -122,7 +122,7 @@ def _fill_line(
         _wing_row(line, max(inner_left, begin), min(inner_right, end), star, amount, share, per_px)
 
 
-@kernel_part
+@kernel
 def _add_line(
     image: FloatArray, sums: FloatArray, line: FloatArray, row: int, low_x: int, ends: tuple[int, int]
 ) -> None:

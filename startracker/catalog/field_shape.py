@@ -9,7 +9,7 @@ import numpy as np
 
 from startracker.arrays import FloatArray
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel
 
 _AZIMUTHS = 720
 _STEPS_PER_SIDE = 200
@@ -63,7 +63,7 @@ def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArra
     return vectors[np.isfinite(vectors).all(axis=1)]
 
 
-@kernel_part
+@kernel
 def in_shape(x: float, y: float, z: float, shape: FieldShape) -> bool:
     """Whether a unit vector in the camera frame is on the image."""
     axes = shape.axes

@@ -56,7 +56,7 @@ def _cell_range(centre: float, reach: float, per_axis: int) -> tuple[int, int]:
     return min(max(low, 0), per_axis - 1), min(max(high, 0), per_axis - 1)
 
 
-@kernel_part
+@kernel
 def star_within(x: float, y: float, z: float, chord2: float, directions: FloatArray, grid: VoxelGrid) -> bool:
     """Whether a star is within √`chord2` of the unit vector (x, y, z)."""
     reach = math.sqrt(chord2) + DRIFT

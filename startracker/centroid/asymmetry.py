@@ -32,7 +32,7 @@ from startracker.centroid.psf_sums import fill_window
 from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel
 
 _Star: TypeAlias = tuple[float, float, float]
 """Position, px, and flux, DN."""
@@ -276,7 +276,7 @@ def _measure(pixels: Pixels, psf: Samples, table: FloatArray, stars: IntArray, h
         found[k, 2], found[k, 3] = total, dark
 
 
-@kernel_part
+@kernel
 def _fit_weighted(
     psf: Samples, star: _Star, window: tuple[int, int, int], contrast: float, work: FloatArray, slopes: FloatArray,
     lines: FloatArray, gains: FloatArray, at: FloatArray,

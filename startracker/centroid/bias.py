@@ -139,7 +139,7 @@ def guess_centre(moment: float, table: FloatArray) -> float:
     return math.copysign(centre, moment) if math.isfinite(centre) else moment
 
 
-@kernel_part
+@kernel
 def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[float, float]:
     """Centre and width of the pixel-integrated Gaussian with this mean and variance over the window.
 

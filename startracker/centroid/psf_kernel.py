@@ -168,7 +168,7 @@ def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float
     return above / below if below > 0.0 else np.nan
 
 
-@kernel_part
+@kernel
 def _fit_group(
     pixels: Pixels,
     psf: Samples,
@@ -258,7 +258,7 @@ def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: Floa
             row[3 + axis], row[5] = column[3 * k + 1 + axis], column[3 * k + 1]
 
 
-@kernel_part
+@kernel
 def _move(change: FloatArray, x: FloatArray, y: FloatArray, flux: FloatArray) -> float:
     """Take a step, shortened where it is long; its length, px, inf where it is none."""
     longest = 0.0
@@ -328,7 +328,7 @@ def weighted_moments(
     return out
 
 
-@kernel_part
+@kernel
 def _weighted_sums(
     pixels: Pixels, psf: Samples, starts: Starts, index: int, at: tuple[float, float], shape: tuple[float, float, float]
 ) -> tuple[Two, Four, Four, Three]:

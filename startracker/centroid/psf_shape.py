@@ -159,7 +159,7 @@ def _is_ellipse(xx: float, yy: float, xy: float) -> bool:
     return xx > 0.0 and xx * yy - xy * xy > SMALLEST_SIGMA_PX**4
 
 
-@kernel_part
+@kernel
 def _move_stars(space: _Space, change: FloatArray, scale: float, half: int, part: float) -> float:
     """Moves the stars by the steps that belong to a change (3,) of the shape; the longest of them."""
     step, longest = np.empty(3), 0.0
@@ -187,7 +187,7 @@ def _move_stars(space: _Space, change: FloatArray, scale: float, half: int, part
     return longest
 
 
-@kernel_part
+@kernel
 def _equations_of_star(
     pixels: Pixels, contrast: float, half: int, shape: Shape, space: _Space, n: int, is_first: bool
 ) -> float:
@@ -238,7 +238,7 @@ def _equations_of_star(
     return 1.0 / max(chi2 / max(used - 6.0, 1.0), 1.0)
 
 
-@kernel_part
+@kernel
 def _gaussian_slopes(
     corner: tuple[float, float], wide: int, high: int, shape: Shape, out: FloatArray, factors: FloatArray
 ) -> None:

@@ -52,7 +52,7 @@ def interpolated(
     return value, by_x * oversampling, by_y * oversampling
 
 
-@kernel_part
+@kernel
 def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: FloatArray, lines: FloatArray) -> None:
     """Light of a star in all pixels of a window, row by row, and its derivatives by dx and dy, to `out` (3, N).
 

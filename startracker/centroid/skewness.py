@@ -110,7 +110,7 @@ def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: f
     return out
 
 
-@kernel_part
+@kernel
 def common_skewness(
     pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape
 ) -> tuple[FloatArray, FloatArray, float, float]:
@@ -155,7 +155,7 @@ def common_skewness(
     return mean, covariance, chi2 / factor, variance / count
 
 
-@kernel_part
+@kernel
 def _equations_of_star(
     pixels: Pixels,
     star: FloatArray,

@@ -240,7 +240,7 @@ def _measure_flat_top(pixels: Pixels, peaks: Peaks, index: int, half: int, out: 
     out[3], out[4], out[5] = w[5] + extra, w[6] + extra, w[7]
 
 
-@kernel_part
+@kernel
 def _measure_star(
     pixels: Pixels, x: int, y: int, half: int, sigma: tuple[float, float], correct: bool, centres: FloatArray,
     axes: FloatArray, out: FloatArray,

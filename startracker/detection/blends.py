@@ -44,7 +44,7 @@ def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     return not (higher | same | (before & (image[y, left] == value)))
 
 
-@kernel_part
+@kernel
 def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> float:
     """Least signal on the straight line from one pixel to another.
 

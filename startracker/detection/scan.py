@@ -68,7 +68,7 @@ def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint
         before, weight = out, np.float32(1.0)
 
 
-@kernel_part
+@kernel
 def _filter_columns(
     work: FloatImage, rows: Places, half: FloatImage, out: Places, least: np.uint64, marks: NDArray[np.uint8],
     width: int,
@@ -244,7 +244,7 @@ def _search(
     return count, samples
 
 
-@kernel_part
+@kernel
 def _collect_marked(
     words: Places, first: np.uint64, work: FloatImage, total: np.uint64, row: int, groups: Places, found: FloatImage,
     count: int,

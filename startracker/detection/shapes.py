@@ -64,7 +64,7 @@ def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: F
         out[half + k], out[half - k] = up * centred[k], down * centred[k]
 
 
-@kernel_part
+@kernel
 def _read_window(
     image: Image, level: Plane, x0: int, y0: int, window: FloatArray, use: FloatArray
 ) -> tuple[float, float]:

@@ -17,7 +17,7 @@ def stamp_pitch(half: FloatImage, radius: int) -> int:
     return 2 * (radius + len(half)) - 1
 
 
-@kernel_part
+@kernel
 def filter_stamp(
     image: Image, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, work: FloatImage, out: FloatImage
 ) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from startracker.arrays import IntArray
 from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
 from startracker.sorting import ranked
 
 _RING_PX = 8
@@ -121,7 +121,7 @@ def _is_calm(stamp: FloatImage, bits: Masks, mask: Masks, count: int, quiet: flo
     return bool(below <= pixels // 2)
 
 
-@kernel_part
+@kernel
 def _is_exceeded(
     stamp: FloatImage, sample: FloatImage, positions: IntArray, ends: IntArray, height: float, quiet: float,
     isolation: float,

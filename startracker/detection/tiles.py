@@ -52,7 +52,7 @@ def whole_step(values: NDArray[Any]) -> int:
     return max(step, 1)
 
 
-@kernel_part
+@kernel
 def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
     """Value at index k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
 
@@ -103,7 +103,7 @@ def _clip(spread: float, step: float) -> float:
     return _CLIP * max(spread, step * _ROUNDING) + 0.5 * step
 
 
-@kernel_part
+@kernel
 def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float32]) -> int:
     """Every so manyth pixel of a tile's rows, and how many are finite; each row begins farther than the one before.
 

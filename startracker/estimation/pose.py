@@ -194,7 +194,7 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int, rounds:
             return pose
 
 
-@kernel_part
+@kernel
 def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) -> FloatArray:
     """T (2, 2) of trace 2, in which the systematic error has the covariance τ² T.
 
@@ -245,7 +245,7 @@ def _fit_models(
     return pose
 
 
-@kernel_part
+@kernel
 def _weighted_sums(
     stars: Linearised, columns: FloatArray, systematic: FloatArray, normal: FloatArray, right: FloatArray
 ) -> tuple[float, float]:
@@ -271,7 +271,7 @@ def _weighted_sums(
     return total, log_det
 
 
-@kernel_part
+@kernel
 def _fit_each_model(
     stars: Linearised,
     columns: FloatArray,
@@ -339,7 +339,7 @@ def _fit_each_model(
     return weight, scale, mean, every, plain
 
 
-@kernel_part
+@kernel
 def _averaged(
     weight: FloatArray,
     scale: FloatArray,

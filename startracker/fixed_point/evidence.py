@@ -121,7 +121,7 @@ def local_areas(points: Integers, tables: Tables) -> Integers:
     return out
 
 
-@kernel_part
+@kernel
 def spans(points: Integers, index: Integers, count: int, tables: Tables) -> tuple[bool, int]:
     """Whether the matched points span the field, and the sum of their squared distances from their mean."""
     mx = my = 0
@@ -142,7 +142,7 @@ def spans(points: Integers, index: Integers, count: int, tables: Tables) -> tupl
     return xx * yy - xy * xy >= tables.spread * count * count, lever
 
 
-@kernel_part
+@kernel
 def weigh(square: Integers, index: Integers, area: Integers, count: int, in_field: int, lever: int, t: Tables) -> int:
     """log₂ of the Bayes factor of the given matches, rounded down."""
     n = len(index)

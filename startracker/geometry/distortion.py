@@ -20,7 +20,7 @@ import numpy as np
 from startracker.arguments import real_number
 from startracker.arrays import FloatArray
 from startracker.display import changed_fields
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx
     return out
 
 
-@kernel_part
+@kernel
 def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) -> tuple[float, float, bool]:
     """Newton's method from (x, y); false if it reaches the fold of the lens model or does not converge."""
     for _ in range(50):
@@ -136,7 +136,7 @@ def _fold_radius2(k: FloatArray) -> float:
     return np.inf
 
 
-@kernel_part
+@kernel
 def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     """Undistorted from distorted normalised coordinates, shape (N, 2); NaN where the lens model cannot be inverted.
 
@@ -161,7 +161,7 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     return out
 
 
-@kernel_part
+@kernel
 def unproject_pinhole(xy: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Unit vectors (N, 3) in camera axes of pixels (N, 2): inverse of `project_pinhole`; NaN as in `undistort`."""
     normalised = np.empty((len(xy), 2))

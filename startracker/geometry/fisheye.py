@@ -49,7 +49,7 @@ def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
     return float(theta * (1.0 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])))))
 
 
-@kernel_part
+@kernel
 def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float:
     """Angle of a radius, NaN beyond the largest.
 

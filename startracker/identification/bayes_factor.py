@@ -61,7 +61,7 @@ def largest_density(n: int) -> float:
     return max(0.2 / max(n, 3), 0.012)
 
 
-@kernel_part
+@kernel
 def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: FloatArray) -> FloatArray:
     """Logarithms (scatters, N) of how much better each star's magnitude fits its guide star than any of the field.
 
@@ -180,7 +180,7 @@ _usual_table = lru_cache(maxsize=128)(_count_table)
 _large_table = lru_cache(maxsize=4)(_count_table)  # megabytes each
 
 
-@kernel_part
+@kernel
 def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: CountTable) -> float:
     """ln of the likelihood ratio of the matches, averaged over the depth of the image and the stars that are missing.
 
@@ -293,7 +293,7 @@ def _log_matches(
     return value
 
 
-@kernel_part
+@kernel
 def log_bayes_factor(
     matched: Matched, information: FloatArray, in_field: int, area: float, focal_sigma: float, counts: CountTable
 ) -> tuple[float, float]:

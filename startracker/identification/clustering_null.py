@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel, kernel_part
 
 WIDTHS = 8
 """Each half of the one before, the first being the points' root mean square distance from their middle."""
@@ -29,7 +29,7 @@ _EVEN = 0.1
 """Share of the points that lie anywhere."""
 
 
-@kernel_part
+@kernel
 def log_excess_density(points: FloatArray, area: float) -> FloatArray:
     """ln of the density of the other points at each point, times the area: above 0 where the points are crowded.
 

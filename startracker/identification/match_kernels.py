@@ -150,7 +150,7 @@ def collect(w: Windows, group: IntArray, count: int) -> tuple[IntArray, IntArray
     return start, members
 
 
-@kernel_part
+@kernel
 def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
     """Which of a group's members support each other, beside the kernel's observed and guide star `seen` (2,)."""
     obs, gid = group.observed, group.guide

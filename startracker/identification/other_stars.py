@@ -91,7 +91,7 @@ def room() -> Others:
     return Others(np.empty((3, n)), np.empty(n), np.empty(n, np.uint8), np.empty((3, 3)))
 
 
-@kernel_part
+@kernel
 def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Others) -> int:
     """Write the brightest stars except j, k and i into `others`, in the frame of the pair j, k; how many.
 
@@ -128,7 +128,7 @@ def _position(others: Others, star: int, shrink: float) -> tuple[float, float, f
     return x, y, z
 
 
-@kernel_part
+@kernel
 def enough_matches(
     u: FloatArray, w: FloatArray, shrink: float, others: Others, count: int, need: int, sky: SkyView, map_: Occupancy
 ) -> bool:
@@ -187,7 +187,7 @@ def _attitude_of_pair(stars: Stars, j: int, k: int, focal: float, u: FloatArray,
     return out
 
 
-@kernel_part
+@kernel
 def next_confirmed(
     candidates: Candidates, start: int, stars: Stars, sky: SkyView, confirmation: Confirmation, work: float
 ) -> tuple[int, FloatArray, float]:

@@ -82,7 +82,7 @@ def next_set(stars: IntArray) -> None:
             return
 
 
-@kernel_part
+@kernel
 def lookup_shape(
     edges: FloatArray, tolerance: float, focal_range: float, table: PatternTable, found: IntArray
 ) -> tuple[int, int]:
@@ -135,7 +135,7 @@ def lookup_shape(
         at[k] += 1
 
 
-@kernel_part
+@kernel
 def correspondence(
     observed: FloatArray, reference: FloatArray, tolerance: float, sense: float, order: IntArray
 ) -> float:
@@ -193,7 +193,7 @@ def correspondence(
     return 0.0 if mirrored and largest > sense else scale
 
 
-@kernel_part
+@kernel
 def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
     """Rotation (3, 3) of four or so pairs of unit vectors, reference to observed: least squares.
 
@@ -340,7 +340,7 @@ def search_patterns(
     return count, patterns, work
 
 
-@kernel_part
+@kernel
 def _keep(finds: PatternFinds, count: int, score: float, matrix: FloatArray, focal: float) -> int:
     """Add a candidate; where there is no room the worst gives way. An attitude that repeats one keeps the better."""
     at = count

@@ -129,7 +129,7 @@ def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
     votes[star, 3] |= old & carry
 
 
-@kernel_part
+@kernel
 def _neighbours(pole: int, nearest: IntArray, need: int, stars: Stars, pairs: Pairs, limits: Limits) -> _Neighbours:
     """Those of the nearest stars whose separation and bearing are useful."""
     n, wide, count = len(nearest), limits.focal_range, 0
@@ -159,7 +159,7 @@ def _neighbours(pole: int, nearest: IntArray, need: int, stars: Stars, pairs: Pa
     return _Neighbours(star[:count], fainter, separation[:count], spread, turn, slack, covered, low, high)
 
 
-@kernel_part
+@kernel
 def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: VoteCounts) -> int:
     """Count the votes for each guide star and sector, and mark sectors that may have enough; the number of votes."""
     sectors, there, back, covered, total = counts.sectors, counts.there, counts.back, neighbours.covered, 0
@@ -186,7 +186,7 @@ def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: Vot
     return total
 
 
-@kernel_part
+@kernel
 def _in_full_sectors(neighbours: _Neighbours, total: int, pairs: Pairs, counts: VoteCounts) -> Int32Array:
     """Votes (V, 5) of the `total` in sectors with enough of them: the neighbour, the guide stars of pole and neighbour,
     the guide pair, and the roll."""
@@ -204,7 +204,7 @@ def _in_full_sectors(neighbours: _Neighbours, total: int, pairs: Pairs, counts: 
     return rows[:count]
 
 
-@kernel_part
+@kernel
 def _voters(
     rows: Int32Array,
     neighbours: _Neighbours,

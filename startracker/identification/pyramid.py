@@ -165,7 +165,7 @@ class Seen(NamedTuple):
     tolerance: FloatArray
 
 
-@kernel_part
+@kernel
 def _confirming(
     seen: Seen, sky: SkyView, rotation: FloatArray, corners: IntArray, guides: IntArray, wanted: int
 ) -> tuple[int, int]:
@@ -269,7 +269,7 @@ def _laid_on(observed: FloatArray, reference: FloatArray, sides: FloatArray) -> 
     return rotation
 
 
-@kernel_part
+@kernel
 def _triangle(
     seen: Seen, corners: IntArray, pairs: GuidePairs, sky: SkyView, least: int, budget: int, finds: _Finds
 ) -> int:

@@ -118,7 +118,7 @@ def first_triangles(vectors: FloatArray, diagonal_rad: float, count: int) -> Int
     return out
 
 
-@kernel_part
+@kernel
 def _triangle(triple: IntArray, stars: Stars, scale: float) -> _Triangle:
     i, j, k = triple
     ij = chord_angle(stars.vectors[i], stars.vectors[j])
@@ -137,7 +137,7 @@ def _triangle(triple: IntArray, stars: Stars, scale: float) -> _Triangle:
     return _Triangle(i, j, k, ij, ik, jk, error_ij, error_ik, error_jk)
 
 
-@kernel_part
+@kernel
 def _chained(
     pairs: Pairs, low: int, high: int, fainter_by: float, v_mag: FloatArray, tolerance: float, head: Int32Array
 ) -> tuple[Int32Array, Int32Array]:
@@ -212,7 +212,7 @@ def _focal_of(t: _Triangle, v: FloatArray, u: FloatArray, w: FloatArray) -> floa
     return (ij * t.ij + ik * t.ik + jk * t.jk) / (t.ij + t.ik + t.jk)
 
 
-@kernel_part
+@kernel
 def _add_similar(
     t: _Triangle,
     stars: Stars,

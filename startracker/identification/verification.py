@@ -155,7 +155,7 @@ def _same(one: IntArray, other: IntArray) -> bool:
     return differ == 0
 
 
-@kernel_part
+@kernel
 def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
     """Guide stars on the image at an attitude, the brightest `most` of them."""
     x, y, z = rotate_back(matrix, sky.shape.axes[2])
@@ -189,7 +189,7 @@ def _focused(stars: Stars, focal: float) -> FloatArray:
     return observed
 
 
-@kernel_part
+@kernel
 def _settle(
     matrix: FloatArray, focal: float, stars: Stars, field: _Field, step: float, widen: float, unknowns: int
 ) -> _Fit:
@@ -226,7 +226,7 @@ def _settle(
     return _Fit(matrix, focal, observed, index, count, _ROUNDS)
 
 
-@kernel_part
+@kernel
 def _weigh(fit: _Fit, stars: Stars, field: _Field, area: float, unknowns: int) -> tuple[float, float]:
     """ln B of a match by the last fit's own residuals, and the multiple of the stated errors that explains it best."""
     observed, index, distance = fit.observed, fit.guide, np.empty(len(fit.guide))
@@ -245,7 +245,7 @@ def _weigh(fit: _Fit, stars: Stars, field: _Field, area: float, unknowns: int) -
     return value - clustering_price(stars.excess, index), fitting
 
 
-@kernel_part
+@kernel
 def verify_attitude(
     matrix: FloatArray, focal: float, stars: Stars, sky: SkyView, scale: float, free_focal: bool
 ) -> Verified:

@@ -8,11 +8,11 @@ import numpy as np
 
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.linalg import inverse, transform, turned
-from startracker.kernels import kernel_part
+from startracker.kernels import kernel
 from startracker.sorting import order_of
 
 
-@kernel_part
+@kernel
 def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> float:
     """ln of the likelihood ratio of matches, averaged over the detection limit and the number of true stars.
 
@@ -48,7 +48,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> 
     return highest + math.log(total / in_field)
 
 
-@kernel_part
+@kernel
 def log_evidence(
     observed: FloatArray,
     sigma: FloatArray,

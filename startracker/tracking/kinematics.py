@@ -21,7 +21,7 @@ BLIND = 1e-12
 """Relative limit of the information about an axis, below which it is rounding error: a single star gives no roll."""
 
 
-@kernel_part
+@kernel
 def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Φ, ∫Φ, ∫∫Φ and ∫ (∫Φ)(∫Φ)ᵀ over a step at a constant rate, each (3, 3).
 

@@ -243,7 +243,7 @@ def track(
     return match.partner, -turn, posterior, evidence
 
 
-@kernel_part
+@kernel
 def _consensus(
     observed: FloatArray, sigma: FloatArray, predicted: FloatArray, covariance: FloatArray, spread: Spread
 ) -> FloatArray:

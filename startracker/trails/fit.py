@@ -232,7 +232,7 @@ def _shift(p: FloatArray, along: float, across: float) -> None:
     p[Y] += along * sin + across * cos
 
 
-@kernel_part
+@kernel
 def _strongest_beside(residual: FloatImage, noise: Plane, p: FloatArray) -> tuple[FloatArray, float]:
     """Where beside a bright trail, whose light is subtracted, another one is likeliest, and its signal-to-noise ratio.
 

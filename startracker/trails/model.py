@@ -53,7 +53,7 @@ def residual_of(image: Image, level: Plane, saturation: float) -> FloatImage:
     return out
 
 
-@kernel_part
+@kernel
 def _row_spans(p: FloatArray, beyond: float, beside: float, height: int, width: int) -> tuple[int, IntArray]:
     """First row, and of each row the first column and the last + 1 (N, 2), of the slanted window of ± beyond along and
     ± beside across a trail."""
@@ -75,7 +75,7 @@ def _row_spans(p: FloatArray, beyond: float, beside: float, height: int, width: 
     return top, spans
 
 
-@kernel_part
+@kernel
 def window_pixels(residual: FloatImage, noise: Plane, p: FloatArray, slack: float) -> tuple[FloatArray, int]:
     """Columns x, y, value and variance (4, N) of the pixels about a trail, from its beginning to its end, in whole
     blocks, and how many are usable: the variance of the others is infinite."""
@@ -162,7 +162,7 @@ def linearise(
     return chi2, outliers
 
 
-@kernel_part
+@kernel
 def _share_along(pixels: FloatArray, begin: np.uint64, line: _Line, work: FloatArray) -> None:
     """Integral along the trail, and the densities at its ends, of a block of pixels."""
     x, y, cos, sin, half, narrow = line
@@ -183,7 +183,7 @@ def _share_along(pixels: FloatArray, begin: np.uint64, line: _Line, work: FloatA
             work[_LAST, k] = _interpolated(_DENSITY, z)
 
 
-@kernel_part
+@kernel
 def _slopes(
     pixels: FloatArray, begin: np.uint64, line: _Line, light: _Light, outlier: float, work: FloatArray
 ) -> tuple[float, int]:
