@@ -301,18 +301,18 @@ def _fit_weighted(
                 right[p] += scaled * rest
                 for q in range(p + 1):
                     normal[p, q] += scaled * slopes[q, n]
-        if not factorise(normal, 3):
+        if not factorise(normal, len(normal)):
             return False
         if step == 0:
             for axis in range(2):
                 column = np.zeros(3)
                 column[1 + axis] = 1.0
-                substitute(normal, 3, column)
+                substitute(normal, len(normal), column)
                 for n in range(count):
                     gains[axis, n] = work[2, n] * (
                         column[0] * slopes[0, n] + column[1] * slopes[1, n] + column[2] * slopes[2, n]
                     )
-        substitute(normal, 3, right)
+        substitute(normal, len(normal), right)
         longest = max(abs(right[1]), abs(right[2]))
         if not math.isfinite(longest + right[0]):
             return False

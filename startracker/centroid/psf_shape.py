@@ -125,9 +125,9 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
                 change[p] += own[n, p]
         if step == 0:
             continue
-        if used == 0 or not factorise(total, 3):
+        if used == 0 or not factorise(total, len(total)):
             return
-        substitute(total, 3, change)
+        substitute(total, len(total), change)
         largest = max(abs(change[0]), abs(change[1]), abs(change[2]))
         if not math.isfinite(largest):
             return
@@ -148,7 +148,7 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
             found[3:] = 0.0
             for n in range(len(at)):
                 if math.isfinite(at[n, 0]):
-                    substitute(total, 3, own[n])
+                    substitute(total, len(total), own[n])
                     for p in range(3):
                         found[3 + p] += own[n, p] ** 2 * used / max(used - 1.0, 0.5)
             return
@@ -229,7 +229,7 @@ def _equations_of_star(
         normal[m, m] *= 1.0 + 1e-9
         if not normal[m, m] > 0.0:
             normal[m, m] = 1.0
-    if not factorise(normal, 6):
+    if not factorise(normal, len(normal)):
         return 0.0
     for p in range(6):
         for q in range(p):

@@ -61,8 +61,8 @@ def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: F
     """
     table, axes, oversampling, weights = psf.table, psf.axes, psf.oversampling, lines[4:]
     size = axes.shape[1] if len(axes) else table.shape[0]
-    first_x = interpolate(size, oversampling, dx, weights, 0)
-    first_y = interpolate(size, oversampling, dy, weights, 1)
+    first_x = interpolate(size, oversampling, dx, weights, np.int64(0))
+    first_y = interpolate(size, oversampling, dy, weights, np.int64(1))
     share, by_x, by_y, n = out[0], out[1], out[2], np.uint64(0)
     if not len(axes):
         for j in range(high):

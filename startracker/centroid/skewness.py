@@ -101,11 +101,11 @@ def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: f
             for k in range(_CUMULANTS):
                 right[k, p] += scaled * column[_FIRST + k]
     out = np.zeros((2, _CUMULANTS))
-    if factorise(normal, 3):
+    if factorise(normal, len(normal)):
         for k in range(_CUMULANTS):
             for p in range(3):
                 row[p] = right[k, p]
-            substitute(normal, 3, row)
+            substitute(normal, len(normal), row)
             out[0, k], out[1, k] = row[1], row[2]
     return out
 
@@ -126,7 +126,7 @@ def common_skewness(
     for n in stars:
         if not _equations_of_star(pixels, table[n], half, shape, normal, right, work, column):
             continue
-        if not factorise(normal, _PARAMETERS):
+        if not factorise(normal, len(normal)):
             continue
         # the last rows of Cholesky's factor are that of κ's normal matrix, the others eliminated
         for p in range(_PARAMETERS):
@@ -142,16 +142,16 @@ def common_skewness(
         variance += work[1, 0]
         count += 1
     mean, covariance = sums.copy(), np.zeros((_CUMULANTS, _CUMULANTS))
-    if count < _FEWEST or not factorise(total, _CUMULANTS):
+    if count < _FEWEST or not factorise(total, len(total)):
         return np.zeros(_CUMULANTS), covariance, 0.0, 1.0
-    substitute(total, _CUMULANTS, mean)
+    substitute(total, len(total), mean)
     chi2 = 0.0
     for p in range(_CUMULANTS):
         chi2 += mean[p] * sums[p]
     factor = max((square - chi2) / (_CUMULANTS * (count - 1.0)), 1.0)
     for p in range(_CUMULANTS):
         covariance[p, p] = factor
-        substitute(total, _CUMULANTS, covariance[p])
+        substitute(total, len(total), covariance[p])
     return mean, covariance, chi2 / factor, variance / count
 
 

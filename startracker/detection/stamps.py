@@ -46,8 +46,9 @@ def filter_stamp(
         for x in range(np.uint64(first), np.uint64(last)):
             signal = np.float32(image[row, x]) - (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
             work[to + x] = signal if is_value(image[row, x]) else np.float32(0.0)
-    _correlate(work, 0, half, pitch, work, square, side * pitch)
-    _correlate(work, square, half, 1, out, 0, side * pitch - 2 * reach)
+    start, step = np.int64(0), np.int64(1)
+    _correlate(work, start, half, pitch, work, square, side * pitch)
+    _correlate(work, square, half, step, out, start, side * pitch - 2 * reach)
     inside = x0 >= radius and y0 >= radius and x0 + radius < width and y0 + radius < height
     if not (is_whole(image) and inside):
         for j in range(side):

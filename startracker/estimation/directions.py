@@ -100,12 +100,12 @@ def fit_turn(
         turn[i], matrix[i, i] = start[i], 1.0
     for _ in range(_STEPS):
         transform(turned(matrix, turn[0], turn[1], turn[2]), reference, predicted)
-        information, right = normal_equations(observed, observed, predicted, index, sigma, 3)
+        information, right = normal_equations(observed, observed, predicted, index, sigma, len(turn))
         for i in range(3):
             for j in range(3):
                 total[i, j] = information[i, j] + precision[i, j]
                 right[i] -= precision[i, j] * turn[j]
-        covariance, _ = inverse(total, 3)
+        covariance, _ = inverse(total, len(total))
         largest = 0.0
         for i in range(3):
             change[i] = covariance[i, 0] * right[0] + covariance[i, 1] * right[1] + covariance[i, 2] * right[2]

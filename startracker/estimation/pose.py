@@ -304,7 +304,7 @@ def _fit_each_model(
             for j in range(2):
                 flat[i, j] = SYSTEMATIC[t] ** 2 * unit * shape[i, j]
         total, log_det = _weighted_sums(stars, columns, flat, normal, right)
-        rotation, log_rotation = inverse(normal, 3)
+        rotation, log_rotation = inverse(normal, np.int64(3))
         for i in range(3):
             for j in range(3):
                 plain[t, i, j] = rotation[i, j]

@@ -328,7 +328,7 @@ def log_bayes_factor(
         gain = volumes[s] - volumes[best] + _most_gained(matched, seen, SCALES[best], SCALES[s])
         if s > 0 and gain < -_ROUNDING:
             continue
-        value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
+        value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], np.int64(-1), in_field, counts)
         if value > highest:
             best, highest = s, value
     # the widths next to the best one add the most; those left out could only make B larger

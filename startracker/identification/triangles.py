@@ -279,7 +279,7 @@ def similar_triangles(
     -------
     The two stars of the longest side with their guide stars, and the third observed star; operations.
     """
-    rows, focal, count, work = np.empty((0, 5), np.int32), np.empty(0), 0, 0.0
+    rows, focal, count, work = np.empty((0, 5), np.int32), np.empty(0), np.int64(0), 0.0
     for number in range(len(triples)):
         t = _triangle(triples[number], stars, limits.scale)
         if min(t.ij - t.error_ij, t.ik - t.error_ik) > 0.0 and work <= limits.work:
