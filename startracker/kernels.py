@@ -122,17 +122,17 @@ class _CompileTime(event.Listener):  # type: ignore[misc]  # numba has no types
 
     def __init__(self) -> None:
         self.seconds = self.processor_s = 0.0
-        self._depth = self._count = 0
+        self._depth = self.count = 0
         self._began = self._processor_began = 0.0
 
     def on_start(self, seen: event.Event) -> None:
         if not self._depth:
             self._began, self._processor_began = time.perf_counter(), time.process_time()
         self._depth += 1
-        self._count += 1
+        self.count += 1
         elapsed_s = self.seconds + time.perf_counter() - self._began
         if elapsed_s > _SILENT_S and _has_terminal():
-            line = f"Compiling kernels, once for this installation: {self._count} so far, {elapsed_s:.0f} s"
+            line = f"Compiling kernels, once for this installation: {self.count} so far, {elapsed_s:.0f} s"
             print(f"{_CLEAR_LINE}{line}", end="", file=sys.stderr, flush=True)
 
     def on_end(self, seen: event.Event) -> None:

@@ -115,7 +115,7 @@ class Pose(NamedTuple):
     """χ² of the first model without systematic error: of the residuals and stated errors."""
 
 
-@kernel_part
+@kernel
 def _columns(stars: Linearised) -> FloatArray:
     """H (M, 2, 6 + E): rotation, the caller's columns, focal length, shears."""
     slopes, extra, offset = stars.slopes, stars.extra, stars.offset
@@ -157,7 +157,6 @@ def displacements(offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -
     return moved
 
 
-@kernel
 def fit_pose(stars: Linearised, trusted: float, first: int, models: int, rounds: int) -> Pose:
     """Average of all models of the module's docstring, weighted by evidence.
 
@@ -173,25 +172,20 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int, rounds:
     rounds : int
         1; or 2, if errors are unknown: they are scaled in place, to the mean square residual, then to the first fit's.
     """
-    columns, shape = _columns(stars), np.empty((2, 2))
-    shape[0, 0], shape[0, 1], shape[1, 0], shape[1, 1] = 1.0, 0.0, 0.0, 1.0
-    scale, left = 0.0, rounds
-    for n in range(len(columns)):
-        scale += (stars.residual[n, 0] ** 2 + stars.residual[n, 1] ** 2) / (2 * len(columns))
-    scale = max(scale, UNKNOWN_FLOOR_PX**2)
-    while True:  # a part is compiled once for each call
-        for n in range(len(columns) if rounds > 1 else 0):
-            for axis in range(4):
-                stars.covariance[n, axis // 2, axis % 2] *= scale
-        pose: Pose = _fit_models(stars, columns, trusted, first, models, shape)
-        scale, left = pose.factor, left - 1
-        if left > 0:
-            continue
-        if trusted == 0.0 or pose.systematic_px2 == 0.0 or shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
-            return pose
-        shape = _shape_of_systematic(stars.residual, columns, pose)
-        if shape[0, 0] == 1.0 and shape[0, 1] == 0.0:
-            return pose
+    columns, isotropic, covariance = _columns(stars), np.eye(2), stars.covariance
+    if rounds > 1:
+        covariance *= max(float(np.mean(stars.residual**2)), UNKNOWN_FLOOR_PX**2)
+    pose: Pose = _fit_models(stars, columns, trusted, first, models, isotropic)
+    for _ in range(rounds - 1):
+        covariance *= pose.factor
+        pose = _fit_models(stars, columns, trusted, first, models, isotropic)
+    if trusted == 0.0 or pose.systematic_px2 == 0.0:
+        return pose
+    shape = _shape_of_systematic(stars.residual, columns, pose)
+    if np.array_equal(shape, isotropic):
+        return pose
+    elongated: Pose = _fit_models(stars, columns, trusted, first, models, shape)
+    return elongated
 
 
 @kernel
@@ -225,7 +219,7 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
     return shape
 
 
-@kernel_part
+@kernel
 def _fit_models(
     stars: Linearised, columns: FloatArray, trusted: float, first: int, models: int, shape: FloatArray
 ) -> Pose:

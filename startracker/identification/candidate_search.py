@@ -15,7 +15,6 @@ from startracker.identification.occupancy import NO_OCCUPANCY, Occupancy, occupa
 from startracker.identification.other_stars import Confirmation, next_confirmed
 from startracker.identification.search_state import Candidates, Limits, Stars
 from startracker.identification.verification import GATE_SIGMAS, Verified, is_known, verify_attitude
-from startracker.kernels import kernel
 from startracker.sorting import median
 
 _VERIFY_FROM = 7.0
@@ -70,7 +69,6 @@ class Effort:
         return Confirmation(gate, self.limits.chance, self.enough, self.occupancy, self.candidate_work, star_work)
 
 
-@kernel
 def next_verified(
     candidates: Candidates,
     start: int,
@@ -102,7 +100,7 @@ def next_verified(
         work += taken
         if at < len(candidates.focal) and not is_known(matrix, known, least_cosine):
             focal = candidates.focal[at]
-            for attempt in range(1 if free else 2):  # one call: it is compiled once as a part of this kernel
+            for attempt in range(1 if free else 2):
                 other = verify_attitude(matrix, focal, stars, sky, scale, free or attempt > 0)
                 work += other.operations
                 if attempt == 0 or other.log_b > found.log_b + _BETTER:

@@ -44,7 +44,7 @@ def rotation_cosine(one: FloatArray, other: FloatArray) -> float:
     return 0.5 * (trace - 1.0)
 
 
-@kernel_part
+@kernel
 def is_known(matrix: FloatArray, known: FloatArray, least_cosine: float) -> bool:
     """Whether an attitude is one of those known (K, 3, 3), within a rotation with this cosine."""
     closest = -1.0
