@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEED_OF_LIGHT_KM_S
 from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel
 from startracker.observer import Observer, aberrated
 
 _NAIF = {

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from startracker._compiled import clock
 from startracker.arrays import FloatArray
 from startracker.centroid import Centroider
 from startracker.centroid.result import Centroids, Measured
@@ -25,7 +26,6 @@ from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
 from startracker.geometry.camera import Camera
 from startracker.given_image import GivenImage
-from startracker.kernels import clock
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.survey import Survey, says_saturated, survey

@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker._compiled import kernel
 from startracker.arguments import real_array
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel
 from startracker.sorting import order_of_columns
 from startracker.survey import plain
 

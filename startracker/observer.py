@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from startracker._compiled import kernel_part
 from startracker.arguments import of_kind, real_array, real_number
 from startracker.arrays import FloatArray
 from startracker.constants import SPEED_OF_LIGHT_KM_S
@@ -15,7 +16,6 @@ from startracker.display import described
 from startracker.ephemeris import barycentric, timescale
 from startracker.errors import InputError
 from startracker.interop import is_time, julian_year, plain
-from startracker.kernels import kernel_part
 
 EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
 """Orbital speed of the Earth, and of a satellite in a low Earth orbit."""

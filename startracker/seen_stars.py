@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.image_map import CX, CY, HEIGHT, ImageMap, pixel_slopes, to_pixels
 from startracker.geometry.linalg import cross
-from startracker.kernels import kernel
 from startracker.observer import ABERRATION_SCALE_SIGMA
 
 RATE_SIGMA_RAD_S = math.radians(2.0)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel, kernel_part
+from startracker._compiled import kernel, kernel_part
 
 _INFINITE_BITS = int(np.float32(np.inf).view(np.int32))
 

@@ -46,7 +46,9 @@ def warm_up() -> int:
                     bar.show(done, total)
         except BrokenProcessPool:
             raise BoresightError("a process that compiles died (out of memory?); run boresight warm-up again") from None
-    print(f"{compiled} kernels compiled in {time.monotonic() - began:.0f} s" if compiled else "all kernels are compiled")
+    print(
+        f"{compiled} kernels compiled in {time.monotonic() - began:.0f} s" if compiled else "all kernels are compiled"
+    )
     return 0
 
 
@@ -60,7 +62,7 @@ def _rounds() -> Iterator[list[str]]:
 
 def run_task(task: str) -> int:
     """In a process: one of the tasks, or the first trial or frames of a scenario; the number of kernels compiled."""
-    from startracker.kernels import compile_time
+    from startracker._compiled import compile_time
 
     before = compile_time.count
     with contextlib.suppress(BoresightError):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
 
 _SETTLED = 1e-9
 """Excess charge relative to the full well that is neglected."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from simulator.detector.steps import Collection
+from startracker._compiled import kernel_part
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel_part
 
 _FINITE = np.finfo(np.float64).max
 

@@ -14,7 +14,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel_part
+from startracker._compiled import kernel_part
 
 Bits = NDArray[np.uint32]
 Key = NDArray[np.uint64]

@@ -32,9 +32,9 @@ from simulator.detector.steps import (
     begin,
 )
 from simulator.randomness import Streams
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.kernels import kernel
 
 _VALUES = 3
 

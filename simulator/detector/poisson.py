@@ -25,8 +25,8 @@ import numpy as np
 from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_words, upper_quantile
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""

@@ -13,9 +13,9 @@ import numpy as np
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
 from simulator.detector.excess_noise import bunch_e
 from simulator.detector.parameters import DetectorParameters
+from startracker._compiled import kernel_part
 from startracker.arrays import FloatArray
 from startracker.errors import InputError
-from startracker.kernels import kernel_part
 
 SATURATION_MARGIN_SIGMA = 3.0
 """A full pixel reads lower than its mean by more than this many standard deviations of the readout noise in 0.1 % of

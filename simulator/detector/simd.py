@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel
+from startracker._compiled import kernel
 
 BLOCK = 64
 

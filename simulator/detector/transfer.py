@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
 
 _TAIL = 1e-17
 """Trails are truncated below this fraction of a packet."""

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.pupil import legendre
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import ImageMap, to_pixels
-from startracker.kernels import kernel
 
 DEFAULT_FEATURE_PX = 0.5
 """Default width of a star image (σ of a Gaussian) for the sampling of paths."""

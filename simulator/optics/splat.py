@@ -12,8 +12,8 @@ from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 
 def render_stars(

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from simulator.optics.psf_table import TAPER_PX, smooth_step
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 _smooth_step = kernel_part(smooth_step)
 

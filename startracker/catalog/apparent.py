@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel
 from startracker.observer import aberrated
 
 

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel
 
 _AZIMUTHS = 720
 _STEPS_PER_SIDE = 200

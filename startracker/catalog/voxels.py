@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import sort
 
 _STARS_PER_CUBE = 2.0

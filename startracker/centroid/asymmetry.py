@@ -23,6 +23,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.psf_kernel import Starts
@@ -32,7 +33,6 @@ from startracker.centroid.psf_sums import fill_window
 from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel
 
 _Star: TypeAlias = tuple[float, float, float]
 """Position, px, and flux, DN."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
 from startracker.centroid.result import Centroids
@@ -16,7 +17,6 @@ from startracker.detection.plane import sample_plane
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 
 MODEL_STARS = 9

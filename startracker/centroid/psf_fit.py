@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.asymmetry import (
     EXAMINED_ASYMMETRIC,
@@ -27,7 +28,6 @@ from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 
 _LARGEST_HALF_PX = 8

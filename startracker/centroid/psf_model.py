@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.files import CURVE_BYTES, check_file
-from startracker.kernels import kernel
 
 _LEAST_OVERSAMPLING = 8
 _MOST_OVERSAMPLING = 48

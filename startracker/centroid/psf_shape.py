@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.frame import MODEL_STARS, Prepared, brightest_alone
@@ -16,7 +17,6 @@ from startracker.centroid.psf_sums import normal_equations
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.detection.spots import Spots
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 
 Shape: TypeAlias = tuple[float, float, float]
 

@@ -25,11 +25,11 @@ from typing import TypeAlias
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 
 Shape: TypeAlias = tuple[float, float, float]
 """Variances along x and y and covariance of the star image, px²."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel, join_tables
@@ -21,7 +22,6 @@ from startracker.detection.thresholds import (
     VALLEY_SIGMA,
 )
 from startracker.detection.values import Image
-from startracker.kernels import kernel, kernel_part
 
 _FAR_PX2 = 1 << 62
 

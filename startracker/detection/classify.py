@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.arrays import IntArray
 from startracker.detection.cosmic_rays import Sharpness, is_sharp, measure_more, sharpest_star
 from startracker.detection.forms import is_halo, measure_forms
@@ -15,7 +16,6 @@ from startracker.detection.shapes import PEAK_SHARE
 from startracker.detection.sources import Searched, Sources
 from startracker.detection.surroundings import Stamp, is_clutter, new_stamp
 from startracker.detection.thresholds import LOOKED_AT, LOOKED_AT_MORE, ONE_PIXEL_SHARE
-from startracker.kernels import kernel
 
 Flags = NDArray[np.bool_]
 

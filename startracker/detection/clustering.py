@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import IntArray
 from startracker.detection.background import Background, as_image
 from startracker.detection.forms import brightest_first
@@ -19,7 +20,6 @@ from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.kernels import kernel, kernel_part
 from startracker.settings import DetectionSettings
 
 _LEAST_RADIUS_PX = 2.0

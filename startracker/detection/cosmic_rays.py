@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.shapes import (
     MINOR,
@@ -32,7 +33,6 @@ from startracker.detection.thresholds import (
     WIDEST_TRACK_PX2,
     WIDTH_SNR,
 )
-from startracker.kernels import kernel_part
 
 FloatImage = NDArray[np.float32]
 

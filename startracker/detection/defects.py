@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.detection.background import Background
 from startracker.detection.plane import Plane
 from startracker.detection.spots import Spots
@@ -21,7 +22,6 @@ from startracker.detection.thresholds import (
     MOSTLY_ALONE,
 )
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel
 
 FloatImage = NDArray[np.float32]
 Flags = NDArray[np.bool_]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
 from startracker.detection.motion import elongations
 from startracker.detection.sources import Sources
@@ -19,7 +20,6 @@ from startracker.detection.thresholds import (
     RING_MARGIN,
     SHAPE_PIXELS,
 )
-from startracker.kernels import kernel, kernel_part
 
 Flags = NDArray[np.bool_]
 

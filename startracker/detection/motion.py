@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
 from startracker.detection.thresholds import (
     AGREEING_SHARE,
@@ -17,7 +18,6 @@ from startracker.detection.thresholds import (
     SHORT_AGREEING_SHARE,
     SHORTEST_MOTION_PX,
 )
-from startracker.kernels import kernel
 from startracker.sorting import median
 
 _TRIED = 14

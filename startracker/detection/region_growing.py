@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.detection.background import Background, as_image
 from startracker.detection.forms import brightest_first
 from startracker.detection.selection import select_spots
@@ -12,7 +13,6 @@ from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 
 FloatImage = NDArray[np.float32]

@@ -7,10 +7,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import FLAT_TOP_PIXELS
 from startracker.detection.values import Image
-from startracker.kernels import kernel
 
 SOURCE = np.dtype(
     [

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value, is_whole
-from startracker.kernels import kernel, kernel_part
 
 FloatImage = NDArray[np.float32]
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
 from startracker.detection.background import Background, noise_floor
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES
 from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel
 
 FloatImage = NDArray[np.float32]
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part, kernel_with
 from startracker.arrays import FloatArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part, kernel_with
 from startracker.sorting import ranked
 
 Tile = tuple[int, int, int, int]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.background import Background
 from startracker.detection.forms import are_long, measure_forms
@@ -31,7 +32,6 @@ from startracker.detection.thresholds import (
     WIDTH_SNR,
 )
 from startracker.detection.values import Image
-from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 from startracker.sorting import median
 

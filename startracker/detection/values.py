@@ -10,8 +10,8 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
+from startracker._compiled import kernel
 from startracker.errors import InputError
-from startracker.kernels import kernel
 
 Image = NDArray[np.float32] | NDArray[np.uint16]
 """What kernels read: float32 of which some may not be finite, or uint16."""

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.linalg import cross, inverse, transform, turned
-from startracker.kernels import kernel, kernel_part
 
 _STEPS, _SETTLED_RAD = 12, 1e-9
 _LARGEST_TURN_RAD = 0.1

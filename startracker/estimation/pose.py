@@ -43,10 +43,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
 from startracker.estimation.image_errors import AS_ASSUMED
 from startracker.geometry.linalg import inverse
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
 TRUSTED = 20.0

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import quotient
-from startracker.kernels import kernel, kernel_part
 
 PLANE_BITS = 12
 """Fraction bits of pixels in the tangent plane."""

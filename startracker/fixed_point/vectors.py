@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.fixed_point.formats import Format, Integers
-from startracker.kernels import kernel, kernel_part
 
 DIRECTION = Format(2, 30)
 """Components of unit vectors; a unit is 0.0002″."""

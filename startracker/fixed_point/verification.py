@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.fixed_point.evidence import NEVER, PLANE_BITS, Tables, spans, weigh
 from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import dot, normalize, quotient
-from startracker.kernels import kernel, kernel_part
 
 FEW_FIT, NOT_SPREAD, FIT = 0, 1, 2
 """States of `verify`: fewer than three stars match; the matches are clustered or collinear; the evidence is valid."""

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arguments import real_number
 from startracker.arrays import FloatArray
 from startracker.display import changed_fields
-from startracker.kernels import kernel, kernel_part
 
 
 @dataclass(frozen=True)

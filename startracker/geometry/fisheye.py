@@ -18,8 +18,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 PROJECTIONS = ("pinhole", "fisheye", "equidistant", "equisolid")
 """Values of a camera's `projection`; the last two take no coefficients."""

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.voxels import VoxelGrid, stars_on_image
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.geometry.image_map import ImageMap, to_pixels
 from startracker.geometry.linalg import transform
 from startracker.identification.verification import nearest_unique
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
 REJECT_SIGMAS = 3.7

@@ -25,9 +25,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.linalg import log_determinant
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median, order_of
 
 SCALES = np.array([0.4, 0.7, 1.25, 2.2, 4.0, 7.0, 12.5, 22.0])

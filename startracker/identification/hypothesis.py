@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.directions import focal_slopes
@@ -22,7 +23,6 @@ from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior, magnitudes_of
 from startracker.identification.search_state import Stars
 from startracker.identification.verification import MOST_EXTRA, Verified, verify_attitude
-from startracker.kernels import kernel
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 from startracker.trace import Steps

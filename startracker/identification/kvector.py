@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel_part
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel_part
 
 
 class KVector(NamedTuple):

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import triple_product
-from startracker.kernels import kernel, kernel_part
 
 WordArray = NDArray[np.uint64]
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arguments import ABOVE_0, real_number
 from startracker.arrays import FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.image_map import ImageMap, to_directions
-from startracker.kernels import kernel, kernel_part
 from startracker.solution import Status
 
 WORST_PX = 5.0

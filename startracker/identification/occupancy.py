@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 _BITS = 20
 """128 kB: with 9,000 guide stars and a reach of a milliradian every tenth direction is in an occupied cell."""

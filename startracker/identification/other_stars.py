@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
 from startracker.identification.occupancy import Occupancy, is_occupied
 from startracker.identification.search_state import Candidates, Stars
-from startracker.kernels import kernel, kernel_part
 
 _MANY = 100.0
 MOST_STARS = 120

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
@@ -14,7 +15,6 @@ from startracker.estimation.directions import normal_equations, pair_rotation
 from startracker.geometry.linalg import chord, rotate_back, solve, transform, triple_product, turned
 from startracker.identification.pattern_table import BINS, EMPTY, SIZE_STEPS, PatternTable, home_slot, sorted_edges
 from startracker.identification.verification import is_known, rotation_cosine
-from startracker.kernels import kernel, kernel_part
 
 SIGMAS = 2.3
 """Half width of the tolerance in standard errors of an edge: of many patterns some may be missed."""

@@ -19,6 +19,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.catalog.sky_view import SkyView
@@ -29,7 +30,6 @@ from startracker.identification.hypothesis import SCALES, HypothesisPool, too_fe
 from startracker.identification.kvector import KVector, find_range, k_vector
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import pair_tolerance, separation
-from startracker.kernels import kernel, kernel_part
 from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status
 

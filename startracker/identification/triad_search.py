@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import IntArray
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_tables import TriadTables
-from startracker.kernels import kernel
 
 _PAIR_WORK, _TRIAD_WORK = 20.0, 2000.0
 """Operations of a catalogue pair within a window, and of a triad."""

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, Int32Array, IntArray
 from startracker.geometry.linalg import triple_product
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import order_of
 
 PAIR_SIGMAS = 3.7

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
@@ -16,7 +17,6 @@ from startracker.geometry.linalg import rotate_back, solve, transform, turned
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import sort
 
 GATE_SIGMAS = 4.5

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.linalg import inverse, transform, turned
-from startracker.kernels import kernel
 from startracker.sorting import order_of
 
 

@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray
 from startracker.estimation.directions import normal_equations
 from startracker.geometry.linalg import factorise, substitute, transform
-from startracker.kernels import kernel, kernel_part
 
 _SMALL = 0.03
 """Angle of a step, rad, below which series are used, as the closed forms lose precision."""

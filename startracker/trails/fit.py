@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import RING_SHARE
 from startracker.detection.values import is_value
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 from startracker.trails.model import (
     ANGLE,
     BLOCK,

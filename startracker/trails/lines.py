@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray
 from startracker.detection.matched import matched_kernel, quantiles
 from startracker.detection.motion import motion_at
 from startracker.detection.plane import Plane
-from startracker.kernels import kernel
 
 FloatImage = NDArray[np.float32]
 

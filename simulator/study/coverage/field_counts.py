@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import FieldShape, field_shape, in_shape
 from startracker.catalog.voxels import VoxelGrid, stars_in_cone
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel
 
 
 def outline(camera: Camera) -> FieldShape:

@@ -25,9 +25,9 @@ from simulator.study.sequence.statistics import fused_nees, summarise_heads, sum
 from simulator.study.statistics import median
 from simulator.study.trials.arrow import table_of
 from simulator.study.trials.stopping import stop_on_signal
+from startracker._compiled import clock
 from startracker._version import __version__
 from startracker.errors import BoresightError, InputError
-from startracker.kernels import clock
 
 Progress = Callable[[int, int], None]
 """Called with (frames finished, total frames)."""

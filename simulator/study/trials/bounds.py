@@ -24,10 +24,10 @@ from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_each_star
 from simulator.renderer import Renderer
+from startracker._compiled import kernel, kernel_part
 from startracker.arrays import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import pixel_slopes as slopes_of_pixels
-from startracker.kernels import kernel, kernel_part
 
 SAME_STAR_PX = 3.0
 """A matched centroid is attributed to the brightest true star within this distance."""

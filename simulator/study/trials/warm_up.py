@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
+from startracker._compiled import is_on_disk
 from startracker.errors import BoresightError
-from startracker.kernels import is_on_disk
 
 if TYPE_CHECKING:
     from simulator.scenario import Scenario

@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from startracker._compiled import compile_time
 from startracker.front_end import Clock
-from startracker.kernels import compile_time
 from startracker.sorting import median, order_of, sort
 
 SCRIPT = """
 import sys, time
 import numpy as np
-from startracker import kernels
+from startracker import _compiled as kernels
 from startracker.sorting import sort
 kernels._SILENT_S = float(sys.argv[1])
 left_out_s = lambda: np.array([time.perf_counter() - kernels.clock(), time.process_time() - kernels.processor_clock()])
@@ -79,7 +79,7 @@ def test_a_log_file_is_not_written_to(tmp_path):
 
 RENAMED = """
 from typing import NamedTuple
-from startracker.kernels import kernel
+from startracker._compiled import kernel
 
 class {name}(NamedTuple):
     value: float
@@ -105,7 +105,7 @@ def test_a_cache_that_names_a_class_which_is_gone_is_replaced(tmp_path):
 
 CALLING = """
 from wing.called import {name}
-from startracker.kernels import kernel
+from startracker._compiled import kernel
 
 @kernel
 def calling(number):
@@ -115,7 +115,7 @@ print(calling(1.0), sum(calling.stats.cache_hits.values()))
 """
 CALLED = """
 import numpy as np
-from startracker.kernels import kernel
+from startracker._compiled import kernel
 
 FACTOR = {factor}
 TABLE = np.array([{factor}])
