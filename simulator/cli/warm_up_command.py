@@ -93,7 +93,8 @@ def _solve_photograph() -> None:
     from startracker import solve_unknown_fov
     from startracker.images.reading import read_image, sample_photo
 
-    solve_unknown_fov(read_image(sample_photo()))
+    photo = read_image(sample_photo())
+    solve_unknown_fov(photo.image, saturation_dn=photo.saturation_dn)
 
 
 def _simulate(name: str) -> None:

@@ -209,7 +209,7 @@ def _search(
     reach = len(half) - 1
     size = 2 * reach + 2
     rows, totals, least, residual = starts[:size], starts[size : size + 2], starts[size + 2], starts[size + 3]
-    cell, count, samples, index = -1, np.int64(0), 0, 0
+    cell, count, samples, index = -1, 0, 0, 0
     for y in range(0, height + reach + 2, 2):
         oldest, next_oldest = rows[0], rows[1]
         for k in range(size - 2):
