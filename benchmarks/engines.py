@@ -27,8 +27,7 @@ from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trackers import tracker_of
 from simulator.study.trials.trial import TrialRunner, solve_frame
 from startracker._compiled import clock
-from startracker.arrays import BoolArray, FloatArray
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG, BoolArray, FloatArray
 
 BEGIN, END = "<!-- engines: python -m benchmarks.engines --document docs/flight.md -->", "<!-- end of engines -->"
 _METHODS = (

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _SETTLED = 1e-9
 """Excess charge relative to the full well that is neglected."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from simulator.detector.steps import Collection
 from startracker._compiled import kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _FINITE = np.finfo(np.float64).max
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from simulator.detector.parameters import CosmicRays, DetectorParameters
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 PAIR_ENERGY_EV = 3.65
 """Mean energy per electron-hole pair in silicon (Janesick 2001)."""

@@ -19,7 +19,7 @@ import numpy as np
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, SingleArray
+from startracker.core import FloatArray, SingleArray
 
 TAIL = np.float32(3.66)
 """Start of the tails."""

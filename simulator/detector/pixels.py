@@ -33,7 +33,7 @@ from simulator.detector.steps import (
 )
 from simulator.randomness import Streams
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 
 _VALUES = 3

@@ -26,7 +26,7 @@ from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_wor
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, SingleArray
+from startracker.core import FloatArray, SingleArray
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""

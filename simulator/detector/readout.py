@@ -14,7 +14,7 @@ from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
 from simulator.detector.excess_noise import bunch_e
 from simulator.detector.parameters import DetectorParameters
 from startracker._compiled import kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 SATURATION_MARGIN_SIGMA = 3.0

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _TAIL = 1e-17
 """Trails are truncated below this fraction of a packet."""

@@ -15,7 +15,7 @@ from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import ForceModel
 from simulator.mission.trajectory import GM_KM3_S2, centre_state
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 BODIES = {
     "Earth": ("Sun", "Moon"),

@@ -17,7 +17,7 @@ from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import render_stars
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _PER_UNIT, _END = 16, 6
 """Points per unit, and the argument from which the function is 1 to all digits."""

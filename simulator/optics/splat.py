@@ -13,7 +13,7 @@ from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 
 def render_stars(

@@ -9,7 +9,7 @@ import numpy as np
 
 from simulator.optics.psf_table import TAPER_PX, smooth_step
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _smooth_step = kernel_part(smooth_step)
 

@@ -17,7 +17,7 @@ from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import BoolArray, FloatArray
+from startracker.core import BoolArray, FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 

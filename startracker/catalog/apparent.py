@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.observer import aberrated
 
 

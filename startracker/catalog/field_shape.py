@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 
 _AZIMUTHS = 720

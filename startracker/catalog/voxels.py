@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
 from startracker.sorting import sort
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _SQRT_HALF = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.files import CURVE_BYTES, check_file

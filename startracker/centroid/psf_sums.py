@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part, kernel_with
-from startracker.arrays import FloatArray
 from startracker.centroid.psf_model import Samples
+from startracker.core import FloatArray
 
 
 @kernel

@@ -26,9 +26,9 @@ from typing import TypeAlias
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
 
 Shape: TypeAlias = tuple[float, float, float]

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.detection.background import Background, as_image
 from startracker.detection.forms import brightest_first
 from startracker.detection.objects import find_runs, join_runs

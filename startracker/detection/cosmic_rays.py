@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel_part
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.detection.shapes import (
     MINOR,
     MINOR_ERROR,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.motion import elongations
 from startracker.detection.sources import Sources
 from startracker.detection.thresholds import (

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.thresholds import (
     AGREEING_SHARE,
     CLEAR_MOTION_PX,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 

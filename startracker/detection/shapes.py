@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.background import Background, noise_floor
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES

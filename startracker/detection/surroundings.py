@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.detection.sources import Searched
 from startracker.detection.stamps import filter_stamp, stamp_pitch
 from startracker.sorting import ranked

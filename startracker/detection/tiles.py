@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part, kernel_with
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.sorting import ranked

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import cross, inverse, transform, turned
 
 _STEPS, _SETTLED_RAD = 12, 1e-9

@@ -44,7 +44,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.image_errors import AS_ASSUMED
 from startracker.geometry.linalg import inverse
 from startracker.sorting import median

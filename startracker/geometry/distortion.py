@@ -19,7 +19,7 @@ import numpy as np
 
 from startracker._compiled import kernel, kernel_part
 from startracker.arguments import real_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import changed_fields
 
 

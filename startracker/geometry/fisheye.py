@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 PROJECTIONS = ("pinhole", "fisheye", "equidistant", "equisolid")
 """Values of a camera's `projection`; the last two take no coefficients."""

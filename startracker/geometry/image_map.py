@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.distortion import project_pinhole, unproject_pinhole
 from startracker.geometry.fisheye import fisheye_project, fisheye_unproject
 

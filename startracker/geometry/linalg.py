@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _LEAST_PIVOT = 1e-14
 """Relative limit of a diagonal element after elimination, below which it is rounding error."""

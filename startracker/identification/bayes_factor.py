@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import log_determinant
 from startracker.sorting import median, order_of
 

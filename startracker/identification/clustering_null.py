@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 
 WIDTHS = 8
 """Each half of the one before, the first being the points' root mean square distance from their middle."""

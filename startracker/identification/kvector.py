@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 
 class KVector(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import triple_product
 
 WordArray = NDArray[np.uint64]

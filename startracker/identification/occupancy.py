@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _BITS = 20
 """128 kB: with 9,000 guide stars and a reach of a milliradian every tenth direction is in an occupied cell."""

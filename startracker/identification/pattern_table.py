@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import cache
 from startracker.catalog.guide import GuideDatabase, field_of
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.linalg import chord
 

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
+from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import pair_rotation
 from startracker.geometry.linalg import chord, rotate_back, triple_product
 from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few, tried_scales

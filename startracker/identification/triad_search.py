@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from startracker._compiled import kernel
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_tables import TriadTables
 

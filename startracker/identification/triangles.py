@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
-from startracker.arrays import FloatArray, Int32Array, IntArray
+from startracker.core import FloatArray, Int32Array, IntArray
 from startracker.geometry.linalg import triple_product
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.sorting import order_of

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import inverse, transform, turned
 from startracker.sorting import order_of
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.sorting import median
 
 FloatImage = NDArray[np.float32]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.matched import matched_kernel, quantiles
 from startracker.detection.motion import motion_at
 from startracker.detection.plane import Plane

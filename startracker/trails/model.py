@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part, kernel_with
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 

@@ -16,7 +16,7 @@ from simulator.study.style import BLUE, SOFT, Panel
 from simulator.study.sweep.compare import ComparedRun, Comparison
 from simulator.study.sweep.plots import SweepFigure, key_label
 from simulator.study.texts import deg_text
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,7 +17,7 @@ from simulator.study.trackers import Tracker, tracker_of
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from startracker._compiled import clock
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.solution import Solution

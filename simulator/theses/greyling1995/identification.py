@@ -21,9 +21,9 @@ from simulator.theses.greyling1995.guide_stars import BORESIGHT_DEC_DEG, FIELD_D
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from startracker._compiled import clock
-from startracker.arrays import IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.core import IntArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification import match_groups

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker._compiled import kernel
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.image_map import CX, CY, HEIGHT, ImageMap, pixel_slopes, to_pixels
 from startracker.geometry.linalg import cross
 from startracker.observer import ABERRATION_SCALE_SIGMA
