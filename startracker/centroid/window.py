@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from startracker._compiled import kernel, kernel_part
 from startracker.centroid.bias import GUESSES, fill_centres, guess_centre, invert_from, invert_moments, window_moments
 from startracker.core import BoolArray, FloatArray, IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 from startracker.sorting import finite_medians
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from startracker._compiled import kernel, kernel_part
 from startracker.core import BoolArray, FloatArray, IntArray
-from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel, join_tables
 from startracker.detection.thresholds import (
     BLEND_LEAST_PX2,
@@ -21,6 +20,7 @@ from startracker.detection.thresholds import (
     VALLEY_SHARE,
     VALLEY_SIGMA,
 )
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image
 
 _FAR_PX2 = 1 << 62

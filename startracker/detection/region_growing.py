@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from startracker._compiled import kernel
 from startracker.detection.background import Background, as_image
+from startracker.detection.classify import select_spots
 from startracker.detection.forms import brightest_first
-from startracker.detection.selection import select_spots
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
 from startracker.core import IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 
 _LINE = 16

@@ -9,7 +9,7 @@ import numpy as np
 
 from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 
 SHAPE_COLUMNS = 5

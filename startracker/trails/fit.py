@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
-from startracker.detection.plane import Plane
 from startracker.detection.thresholds import RING_SHARE
+from startracker.detection.tiles import Plane
 from startracker.detection.values import is_value
 from startracker.geometry.linalg import factorise, substitute
 from startracker.trails.model import (

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from startracker._compiled import kernel, kernel_part, kernel_with
 from startracker.core import FloatArray, IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 
 FloatImage = NDArray[np.float32]
