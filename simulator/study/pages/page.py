@@ -47,6 +47,12 @@ class Table:
     links: tuple[tuple[str, str], ...] = ()
     """First cells of rows that lead to a figure of the page, each with the anchor of the figure."""
 
+    def without(self, heading: str) -> Table:
+        """The table without a column, for the terminal; notes and links are not kept."""
+        kept = [k for k, each in enumerate(self.headings) if each != heading]
+        rows = tuple(tuple(row[k] for k in kept) for row in self.rows)
+        return Table(tuple(self.headings[k] for k in kept), rows, tuple(kept.index(k) for k in self.words if k in kept))
+
 
 @dataclass(frozen=True)
 class Figures:

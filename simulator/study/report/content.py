@@ -19,7 +19,7 @@ from simulator.study.pages.parts import unphysical_notes, verdict_table
 from simulator.study.specification.outcome import identified, outcome_flags
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
-from simulator.study.texts import percent_text
+from simulator.study.texts import axis_name, between_text, percent_text
 
 if TYPE_CHECKING:
     from simulator.scenario import Scenario
@@ -28,7 +28,7 @@ Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20
 AT_THE_BOUND = 1.1
 """Maximum ratio of error to bound for the error to count as limited by the bound."""
-AXIS_NAMES = {axis: axis.replace("_", " ").replace("about boresight", "about the boresight") for axis in AXES}
+AXIS_NAMES = {axis: axis_name(axis).replace("about boresight", "about the boresight") for axis in AXES}
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ def interval_text(interval: Any, text: Callable[[float | None], str] = angle_tex
     """``low to high`` of an interval, with a common unit only once; empty without an interval, – for an open limit."""
     if interval is None or all(end is None for end in interval):
         return ""
-    low, high = (text(end) for end in interval)
-    return f"{low[:-1] if low[-1] == high[-1] == '″' else low} to {high}"
+    low, high = interval
+    return between_text(text(low), text(high))
 
 
 def answer_of(

@@ -24,10 +24,11 @@ from simulator.study.pages.parts import provenance, unphysical_notes, verdict_ta
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.heads_plots import heads_panels, heads_table
 from simulator.study.sequence.plots import MODE_TITLES, panels
+from simulator.study.sequence.statistics import consistency_text
 from simulator.study.specification.outcome import outcome_text
 from simulator.study.specification.verdicts import NOT_MET
 from simulator.study.statistics import AXES
-from simulator.study.texts import deg_text
+from simulator.study.texts import axis_name, deg_text
 
 if TYPE_CHECKING:
     from simulator.study.sequence.result import Sequence
@@ -95,18 +96,8 @@ def _answer(sequence: Sequence) -> tuple[Block, ...]:
     ]
     if summary["inconsistency"]:
         found.append(paragraph(f"{summary['inconsistency']['text']}."))
-    nees = summary["nees"]
-    if nees["mean"] is not None:
-        low, high = nees["bounds95"]
-        finding = "is consistent with the errors"
-        if not nees["within"]:
-            finding = "is too small" if nees["mean"] > 3 else "is too large"
-        found.append(
-            paragraph(
-                f"NEES {nees['mean']:.2f} (expected 3; 95 % band for a consistent covariance {low:.2f} to {high:.2f}): "
-                f"the stated covariance {finding}."
-            )
-        )
+    if consistency := consistency_text(summary["nees"]):
+        found.append(paragraph(consistency))
     return tuple(found)
 
 
@@ -135,7 +126,7 @@ def _accuracy(summary: dict[str, Any]) -> Table:
     for axis in AXES:
         errors = summary["errors_deg"][axis]
         row = [
-            axis.replace("_", " "),
+            axis_name(axis),
             *(deg_text(errors[name]) for name in ("mean", "std", "rms", "p997", "max")),
         ]
         if single:

@@ -15,13 +15,14 @@ from simulator.study.statistics import AXES
 from simulator.study.style import BLUE, SOFT, Panel
 from simulator.study.sweep.compare import ComparedRun, Comparison
 from simulator.study.sweep.texts import number_text, rate_text, rms_text, value_text
+from simulator.study.texts import axis_name
 from startracker.constants import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _QUANTITIES = (*AXES, "rate", "stars")
-_NAMES = tuple(axis.replace("_", " ") for axis in AXES)
+_NAMES = tuple(axis_name(axis) for axis in AXES)
 
 
 def comparison_page(comparison: Comparison) -> Page:

@@ -10,7 +10,7 @@ from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED
 from simulator.study.statistics import AXES, BODY_AXES
 from simulator.study.sweep.plots import SweepFigure, key_label
 from simulator.study.sweep.texts import rate_text, rms_text, value_text
-from simulator.study.texts import deg_text
+from simulator.study.texts import axis_name, deg_text
 
 
 def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> Page:
@@ -105,7 +105,7 @@ def _best(done: list[dict[str, Any]], keys: tuple[str, ...], swept: list[str]) -
         known = [point for point in done if point["statistics"][f"{axis}_rms_deg"] is not None]
         if known:
             point = min(known, key=lambda p: p["statistics"][f"{axis}_rms_deg"])
-            title = axis.replace("_", " ")
+            title = axis_name(axis)
             rows.append((title, rms_text(point["statistics"], axis), str(point["point"]), *_values(point, swept)))
     return Table(("axis", "rms (95 % interval)", "point", *keys), tuple(rows))
 
