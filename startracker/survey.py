@@ -53,6 +53,16 @@ class Survey:
     __repr__ = fields_repr
 
 
+def shape_fault(given: tuple[int, ...], shape: tuple[int, int] | None) -> str:
+    """Reason why an image of a shape is not one of a camera of `shape`, (rows, columns); empty if it is."""
+    if len(given) != 2:
+        return f"an image must have two dimensions (rows, columns); got {given}"
+    if shape is not None and given != shape:
+        size = f"the image is {given[1]}×{given[0]} pixels, the camera {shape[1]}×{shape[0]}"
+        return f"{size}: give the camera that took it"
+    return ""
+
+
 def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[Survey | None, str]:
     """Survey of an image, or None and the reason why it cannot be used.
 
@@ -65,14 +75,9 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
             return None, f"an image needs real numbers; got {given.dtype}"
     except (TypeError, ValueError):
         return None, "an image must be an array of numbers"
-    if given.ndim != 2:
-        return None, f"an image must have two dimensions (rows, columns); got {given.shape}"
+    if fault := shape_fault(given.shape, shape):
+        return None, fault
     pixels = as_pixels(given)
-    if shape is not None and given.shape != shape:
-        return None, (
-            f"the image is {given.shape[1]}×{given.shape[0]} pixels, the camera {shape[1]}×{shape[0]}: "
-            "give the camera that took it"
-        )
     if not given.size:
         return None, "no pixel of the image is a finite number"
     level = saturation_dn

@@ -17,7 +17,7 @@ _METHODS = {
     "tracker.estimator": ("field_fit",),
 }
 """Methods that the flight build has, the default first."""
-_UNREAD = {
+_UNREAD: dict[str, tuple[Any, tuple[str, ...]]] = {
     "tracker.detection": (
         DetectionSettings(),
         ("min_pixels", "search_step_px", "matched_filter", "isolation", "cluster_radius_px", "threshold_dn"),
@@ -45,7 +45,9 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     for key, known in _METHODS.items():
         if v[key] not in known:
             yield impossible(key, f"the flight build has no '{v[key]}'; use {known[0]}, {_OR}")
-    for section, (defaults, names) in (*_UNREAD.items(), *_of_identifier(v["tracker.identifier"])):
+    own = ("separation_tolerance_deg",) if v["tracker.identifier"] == "adaptive" else ()  # triads read it
+    unread = _UNREAD | {"tracker.identification": (AdaptiveSettings(), (*_UNREAD_BY_IDENTIFIERS, *own))}
+    for section, (defaults, names) in unread.items():
         for name in names:
             default = getattr(defaults, name)
             if v[f"{section}.{name}"] != default:
@@ -59,12 +61,6 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     for key in ("tracker.in_flight_calibration.use", "sequence.operation.use"):
         if v[key]:
             yield impossible(key, f"is not part of the flight build; use false, {_OR}")
-
-
-def _of_identifier(identifier: str) -> list[tuple[str, tuple[Any, tuple[str, ...]]]]:
-    """Settings of an identifier without effect on the flight build, with their defaults."""
-    own = ("separation_tolerance_deg",) if identifier == "adaptive" else ()  # triads read it
-    return [("tracker.identification", (AdaptiveSettings(), (*_UNREAD_BY_IDENTIFIERS, *own)))]
 
 
 def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
