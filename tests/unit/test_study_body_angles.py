@@ -1,6 +1,8 @@
 """Angles from the Sun, the Moon and the Earth's limb; and Ctrl-C as a request to stop a study."""
 
 import signal
+import subprocess
+import sys
 import threading
 from datetime import UTC, datetime
 
@@ -52,11 +54,33 @@ def test_the_first_signal_asks_and_the_second_interrupts(number):
     assert signal.getsignal(number) is before
 
 
-def test_children_ignore_an_interrupt_from_the_start():
-    before = signal.getsignal(signal.SIGINT)
-    with no_interrupt_for_children():
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    assert signal.getsignal(signal.SIGINT) is before
+def test_an_interrupt_while_children_start_reaches_this_process_alone():
+    """Ctrl-C goes to all processes of the terminal; one pressed while workers start was lost."""
+    child = "import time; print('started', flush=True); time.sleep(0.2); print('whole')"
+    with stop_on_signal() as stop:
+        with no_interrupt_for_children():
+            process = subprocess.Popen([sys.executable, "-c", child], stdout=subprocess.PIPE, text=True)
+            assert process.stdout.readline() == "started\n"
+            process.send_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+            assert not stop.is_set()
+        assert stop.is_set()
+        output, _ = process.communicate(timeout=60)
+    assert output == "whole\n"
+    assert process.returncode == 0
+
+
+def test_workers_started_meanwhile_have_the_signal_blocked():
+    """Started first in a process, multiprocessing's resource tracker unblocks it."""
+    program = (
+        "import signal, multiprocessing as m\n"
+        "from simulator.study.trials.stopping import no_interrupt_for_children\n"
+        "if __name__ == '__main__':\n"
+        "    with no_interrupt_for_children():\n"
+        "        m.get_context('spawn').Process(target=print).start()\n"
+        "        assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
 
 
 def test_in_another_thread_signals_are_left_alone():

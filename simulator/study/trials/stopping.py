@@ -6,6 +6,7 @@ import contextlib
 import signal
 import threading
 from collections.abc import Iterator
+from multiprocessing import resource_tracker
 from types import FrameType
 
 
@@ -35,12 +36,16 @@ def stop_on_signal() -> Iterator[threading.Event]:
 
 @contextlib.contextmanager
 def no_interrupt_for_children() -> Iterator[None]:
-    """Processes started within this context ignore Ctrl-C from the start."""
-    if threading.current_thread() is not threading.main_thread():
+    """Processes started in this context do not receive Ctrl-C; one pressed meanwhile reaches this process afterwards.
+
+    The signal is blocked, which children inherit. Ignoring it here would lose one that is pressed in these moments.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows, whose children inherit no signals
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource_tracker.ensure_running()  # of multiprocessing; started within, it would unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
