@@ -38,7 +38,7 @@ from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import wilson_interval
 from simulator.study.trials.trial import solve_frame
 from startracker import StarTracker
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.flight.apparent import epoch_of
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.stars import StarList

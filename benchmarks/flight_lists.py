@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.integer_lists import Camera as Pinhole
 from benchmarks.integer_lists import Pattern, pattern_list
 from startracker import StarTracker
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.flight.stars import StarList
 
 MOST = 60

@@ -30,7 +30,7 @@ from benchmarks.integer_lists import PATTERNS
 from simulator.randomness import stream
 from simulator.study.exported_c.build import Build, compile_export
 from startracker import Camera, StarTracker
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import flight_export
 from startracker.flight.stars import StarList

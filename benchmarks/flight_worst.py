@@ -34,7 +34,7 @@ from simulator.study.flight.design import flight_design
 from simulator.study.flight.program import frame_bytes, list_text
 from simulator.study.star_tracker import build_tracker
 from startracker import StarTracker
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.flight.export import flight_export
 from startracker.integer_export import CExport
 

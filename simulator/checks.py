@@ -20,7 +20,7 @@ from simulator.scenario import Scenario
 from simulator.scenario.fields import NameChecks
 from startracker.arguments import of_kind
 from startracker.errors import InputError
-from startracker.registry import lookup
+from startracker.settings.registry import lookup
 
 if TYPE_CHECKING:
     from simulator.optics.curves import CurveKind

@@ -16,7 +16,7 @@ from simulator.optics.drift import Drift, drifting_paths
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.shutter import frame_transfer_smear, rolling_paths
 from simulator.optics.smear import star_paths
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 
 

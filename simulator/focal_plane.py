@@ -46,7 +46,7 @@ from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import SOLAR_B_V
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 
 _EDGE_MARGIN_PX = 160.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import described, html_card, quantity_range
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera

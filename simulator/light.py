@@ -17,7 +17,7 @@ from simulator.sky.photometry import Photometer
 from simulator.sky.satellites import Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.spectra import SOLAR_B_V
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 
 _KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}

@@ -41,10 +41,9 @@ from simulator.sky.parameters import Sky
 from simulator.sky.satellites import Look, SatelliteList, Satellites
 from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
-from startracker.constants import AU_KM
+from startracker.core import AU_KM, FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args, overload
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.interop import plain
 

@@ -12,21 +12,20 @@ from numpy.typing import ArrayLike
 from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker.arguments import ABOVE_0, real_array, real_number, whole_number
-from startracker.arrays import FloatArray
 from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, find_stars
 from startracker.geometry.camera import Camera, as_camera
-from startracker.given_centroids import clean_centroids
-from startracker.given_image import GivenImage, given_image
-from startracker.identification.free_scale import FOV_BANDS_DEG
+from startracker.identification.unknown_scale.free_scale import FOV_BANDS_DEG
+from startracker.inputs import GivenImage, clean_centroids, given_image
 from startracker.observer import Observer
-from startracker.registry import lookup
-from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+from startracker.settings.checks import BELOW_1, settings_or_default
+from startracker.settings.registry import lookup
 from startracker.solution import Solution
 from startracker.trace import Step, Steps, Trace
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 
 _LONGEST = 240
 """Characters of a description; what is beyond is cut."""

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from startracker.arrays import FloatArray
-from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
+from startracker.core import DAYS_PER_JULIAN_YEAR, J2000_JD_TT, FloatArray
 from startracker.errors import InputError
 
 DE421_NAME = {

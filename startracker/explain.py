@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
 from startracker.centroid.result import Centroids
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.detection.background import Background
 from startracker.detection.plane import sample_plane
 from startracker.detection.spots import Spots

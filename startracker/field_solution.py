@@ -7,17 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.centroid.result import Measured
+from startracker.core import FloatArray, IntArray
 from startracker.estimation import Estimator
+from startracker.estimation.refine import Refined
+from startracker.estimation.refine_stars import refine_stars
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.observed import Identification
 from startracker.observer import Observer
-from startracker.refine import Refined
-from startracker.refine_stars import refine_stars
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.unexplained import Fitted
 

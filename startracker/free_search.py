@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.estimation import Estimator
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
-from startracker.identification import free_scale
 from startracker.identification.acceptance import accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.clustering_null import log_excess_density
-from startracker.identification.free_scale import FreeFit
-from startracker.identification.last_fit import estimated, last_fit
-from startracker.identification.whole_sky import all_stars, brightest_stars, quad_index
+from startracker.identification.unknown_scale import free_scale
+from startracker.identification.unknown_scale.free_scale import FreeFit
+from startracker.identification.unknown_scale.last_fit import estimated, last_fit
+from startracker.identification.unknown_scale.whole_sky import all_stars, brightest_stars, quad_index
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.settings import IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status

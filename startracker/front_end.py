@@ -9,9 +9,9 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from startracker.arrays import FloatArray
 from startracker.centroid import Centroider
 from startracker.centroid.result import Centroids, Measured
+from startracker.core import FloatArray
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.components import find_trailed
 from startracker.detection.defects import fill_gaps, has_crowd, mask_impulses
@@ -24,11 +24,10 @@ from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
 from startracker.geometry.camera import Camera
-from startracker.given_image import GivenImage
+from startracker.inputs import GivenImage, Survey, says_saturated, survey
 from startracker.kernels import clock
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
-from startracker.survey import Survey, says_saturated, survey
 from startracker.trace import Step, Trace
 from startracker.trails import Trails, find_trails, mid_exposure
 

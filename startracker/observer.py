@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from startracker.arguments import of_kind, real_array, real_number
-from startracker.arrays import FloatArray
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray
 from startracker.display import described
 from startracker.ephemeris import barycentric, timescale
 from startracker.errors import InputError

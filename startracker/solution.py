@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arguments import of_kind, real_array
-from startracker.arrays import FloatArray
-from startracker.bodies import NO_BODIES, SeenBodies
-from startracker.constants import ARCSEC_RAD
+from startracker.catalog.bodies import NO_BODIES, SeenBodies
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.display import angle_text, described, html_card, quantity_range, star_chart
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction

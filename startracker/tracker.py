@@ -17,35 +17,33 @@ from startracker import detection as detecting
 from startracker import estimation as estimating
 from startracker import identification as identifying
 from startracker.arguments import real_number
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import as_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.centroid.result import Measured
+from startracker.core import FloatArray, IntArray
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.field_fit import Estimator, takes_field
+from startracker.estimation.refine_stars import selected, stated_errors
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
 from startracker.field_solution import Field, solution_of
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, star_hypotheses
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
-from startracker.given_centroids import stated_variance, usable_centroids
-from startracker.given_image import given_image, prior_of
 from startracker.identification.about_knot import about_knot
 from startracker.identification.acceptance import accepts, is_beyond_doubt
 from startracker.identification.around_prior import identify_around
-from startracker.identification.free_scale import FEWEST_MATCHED
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
-from startracker.identification_settings import settings_of
+from startracker.identification.unknown_scale.free_scale import FEWEST_MATCHED
+from startracker.inputs import SATURATED_SHARE, given_image, prior_of, says_saturated, stated_variance, usable_centroids
 from startracker.observer import Observer, observer_of
-from startracker.refine_stars import selected, stated_errors
-from startracker.registry import lookup
-from startracker.setting_checks import BELOW_1, settings_or_default
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
+from startracker.settings.checks import BELOW_1, settings_or_default
+from startracker.settings.identification import settings_of
+from startracker.settings.registry import lookup
 from startracker.solution import Solution, Status
-from startracker.survey import SATURATED_SHARE, says_saturated
 from startracker.trace import Step, Steps, Trace
 from startracker.unexplained import Fitted, reason_to_refuse
 from startracker.whole_field import explains_bright_stars, misfit_px, strongest, trail_fragments_possible

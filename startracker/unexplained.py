@@ -31,9 +31,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.light import Light
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel, kernel_part

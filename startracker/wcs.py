@@ -27,8 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lstsq
 
 from startracker.arguments import of_kind, real_array, text
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD, SPEED_OF_LIGHT_KM_S
+from startracker.core import ARCSEC_RAD, SPEED_OF_LIGHT_KM_S, FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, camera_attitude, matrix_to_quat
 from startracker.geometry.camera import Camera

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
+from startracker.core import FloatArray
 from startracker.front_end import FoundStars
 from startracker.solution import Solution
 

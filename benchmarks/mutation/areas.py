@@ -233,7 +233,7 @@ AREAS = {
         ),
     ),
     "detection": Area(
-        ("startracker/detection/*.py", "startracker/front_end.py", "startracker/given_image.py"),
+        ("startracker/detection/*.py", "startracker/front_end.py", "startracker/inputs.py"),
         ("*/test_detection*", "unit/test_points_and_trails", "unit/test_centroid_moments", "oracle/test_greyling_rec*"),
     ),
     "trails": Area(
@@ -277,12 +277,12 @@ AREAS = {
     "attitude": Area(
         (
             "startracker/refine*.py",
-            "startracker/seen_stars.py",
+            "startracker/estimation/predicted_pixels.py",
             "startracker/whole_field.py",
             "startracker/estimation/*.py",
             "startracker/field_solution.py",
-            "startracker/given_centroids.py",
-            "startracker/outliers.py",
+            "startracker/inputs.py",
+            "startracker/estimation/outliers.py",
             "startracker/solution.py",
             "startracker/tracker.py",
             "startracker/unexplained.py",
@@ -314,10 +314,10 @@ AREAS = {
     "photographs": Area(
         (
             "startracker/blind.py",
-            "startracker/bodies.py",
+            "startracker/catalog/bodies.py",
             "startracker/free_search.py",
             "startracker/images/*.py",
-            "startracker/survey.py",
+            "startracker/inputs.py",
         ),
         (
             "*/test_free_scale*",

@@ -12,7 +12,7 @@ from benchmarks.speed.workload import PLAIN, even_scenario, expose, renderer, sc
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import given_image
+from startracker.inputs import given_image
 from startracker.settings import CentroidSettings, DetectionSettings
 
 SIDE, STARS, SIGMA_PX, READ_E = 1024, 200, 0.9, 10.0

@@ -18,11 +18,11 @@ from startracker import Attitude, Observer, StarTracker, TrackingSession, load_c
 from startracker.catalog import guide as guides
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
+from startracker.estimation.refine_stars import STATED_PX
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import given_image
 from startracker.identification import METHODS
 from startracker.identification.observed import Observed
-from startracker.refine_stars import STATED_PX
+from startracker.inputs import given_image
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 

@@ -12,7 +12,7 @@ from scipy.signal import periodogram, welch
 
 from simulator.optics.jitter import Jitter, draw_jitter, load_spectrum
 from simulator.randomness import stream
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

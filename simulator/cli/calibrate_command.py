@@ -21,11 +21,11 @@ from startracker.calibration.plot import residual_picture
 from startracker.errors import BoresightError, InputError
 from startracker.front_end import Clock, find_stars
 from startracker.geometry.camera import Camera
-from startracker.given_image import given_image
 from startracker.images.reading import read_image
+from startracker.inputs import given_image
 from startracker.observer import Observer
-from startracker.registry import lookup
 from startracker.settings import CentroidSettings, DetectionSettings
+from startracker.settings.registry import lookup
 
 _MOST_STARS = 400
 _YEARS = (1800.0, 2200.0)

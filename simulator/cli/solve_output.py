@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from simulator.cli.checks import picture_format
 from simulator.paths import write_atomically
 from startracker import explain as explaining
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.images.reading import RowOrder
 from startracker.observer import Observer
 from startracker.solution import Solution

@@ -198,7 +198,7 @@ def _print_limits(display: Stimulator, renderer: Renderer) -> None:
     """Table of magnitudes with the errors of their display, down to the first that is too faint."""
     import numpy as np
 
-    from startracker.constants import ARCSEC_RAD
+    from startracker.core import ARCSEC_RAD
 
     first = np.floor(display.photometry.white_magnitude)
     limits = [

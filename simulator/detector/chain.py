@@ -20,7 +20,7 @@ from simulator.detector.parameters import CosmicRays, DetectorParameters
 from simulator.detector.pixels import PixelPipeline
 from simulator.detector.steps import Step, of_map
 from simulator.randomness import Streams
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 

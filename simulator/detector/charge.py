@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from simulator.detector.steps import Collection
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel_part
 
 _FINITE = np.finfo(np.float64).max

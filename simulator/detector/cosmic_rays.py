@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.detector.parameters import CosmicRays, DetectorParameters
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel
 
 PAIR_ENERGY_EV = 3.65

@@ -18,7 +18,7 @@ import numpy as np
 
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
-from startracker.arrays import FloatArray, SingleArray
+from startracker.core import FloatArray, SingleArray
 from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 TAIL = np.float32(3.66)

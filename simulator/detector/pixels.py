@@ -32,7 +32,7 @@ from simulator.detector.steps import (
     begin,
 )
 from simulator.randomness import Streams
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.kernels import pixel_kernel
 

@@ -25,7 +25,7 @@ import numpy as np
 from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_words, upper_quantile
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
-from startracker.arrays import FloatArray, SingleArray
+from startracker.core import FloatArray, SingleArray
 from startracker.kernels import kernel, kernel_part
 
 LARGEST_MEAN = 1e18

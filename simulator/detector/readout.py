@@ -13,7 +13,7 @@ import numpy as np
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
 from simulator.detector.excess_noise import bunch_e
 from simulator.detector.parameters import DetectorParameters
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.kernels import kernel_part
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, SingleArray
+from startracker.core import FloatArray, SingleArray
 
 TILE = 2048
 """Pixels per tile. The noise of a seed depends on it: pixel k uses the 32 bits (k mod TILE) div (TILE/4) of the block

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from simulator.detector.defects import some_pixels
 from simulator.detector.parameters import DetectorParameters, RandomTelegraph
 from simulator.randomness import stream
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _FIRST_CELL = 2**40
 """Cell of the epoch: the index of a random stream cannot be negative, and times before the epoch have cells too."""

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import pixel_kernel
 
 _TAIL = 1e-17

@@ -7,7 +7,7 @@ import numpy as np
 from simulator.detector.parameters import Video
 from simulator.detector.pixels import apply_steps
 from simulator.detector.steps import GAUSSIAN_NOISE, Step
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _KERNEL_SIGMAS = 5.0
 

@@ -15,7 +15,7 @@ from simulator.environment.spectrum import Spectrum
 from simulator.environment.trapped import ELECTRON_MEV, PROTON_MEV, TrappedBelts
 from simulator.mission.frames import itrs_km
 from simulator.mission.trajectory import Trajectory, geocentric
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 SAMPLES, SAMPLED_DAYS = 6000, 30.03
 """Positions of the mean, every 7 minutes over a month, so that every longitude is crossed at every latitude. Three

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.environment.coefficients import Estimate, coefficient
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 PROTON_GEV = 0.938272
 NUCLEON_GEV = 0.9315

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 ALUMINIUM_G_CM3 = 2.699
 SILICON_G_CM3 = 2.329

@@ -16,7 +16,7 @@ import numpy as np
 
 from simulator.environment import matter
 from simulator.environment.spectrum import Spectrum
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _LEAST_PROTON_MEV, _LEAST_ELECTRON_MEV = 0.1, 0.04
 _POINTS = 1500

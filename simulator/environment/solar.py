@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from simulator.environment.spectrum import Spectrum
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 EVENT_MEV = np.array([10, 15, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, 125, 150, 200.0])
 """Energies of the spectrum: 10 to 200 MeV, beyond which the exponential is not supported."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _TINY = 1e-30  # of the first number
 

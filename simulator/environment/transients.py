@@ -20,7 +20,7 @@ from simulator.environment.parameters import Environment
 from simulator.environment.trapped import ELECTRON_MEV, TrappedBelts
 from simulator.mission.clock import Clock
 from simulator.mission.frames import itrs_km
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 BEHIND_MEV = np.array([0.5, 5.0, 15.0, 40.0, 100.0, 400.0])
 """Limits of the groups of trapped protons, by energy behind the shield."""

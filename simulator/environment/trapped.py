@@ -16,7 +16,7 @@ import numpy as np
 
 from simulator.environment.coefficients import Estimate, coefficient
 from simulator.environment.spectrum import Spectrum
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 DRIFT_DEG_YEAR = 0.3

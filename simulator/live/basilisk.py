@@ -25,7 +25,7 @@ from simulator.scenario.schema import SequenceSection
 from simulator.sky.solar_system import RADIUS_KM
 from simulator.study.sequence.camera import Moment, SequenceCamera, TrackedFrame
 from simulator.study.statistics import CAMERA_AXES
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 from startracker.solution import Solution

@@ -25,8 +25,8 @@ from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trackers import Session
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from startracker._version import __version__
-from startracker.arrays import FloatArray
 from startracker.catalog.names import designation, proper_name
+from startracker.core import FloatArray
 from startracker.solution import Solution
 
 __all__ = ["frame_header", "solution_message", "truth_message", "welcome"]

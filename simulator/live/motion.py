@@ -12,7 +12,7 @@ from simulator.mission.motion import BodyMotion, MotionState, on_mounting
 from simulator.mission.pointing import Pointing
 from simulator.scenario import Scenario
 from simulator.scene import SceneBuilder
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 
 __all__ = ["Given", "ScenarioMotion", "turned_on"]

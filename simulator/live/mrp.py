@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 

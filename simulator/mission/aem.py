@@ -25,7 +25,7 @@ from simulator.mission.segments import (
     segment_times,
 )
 from simulator.mission.spinning import SpinningStates, spinning
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 _REQUIRED = (

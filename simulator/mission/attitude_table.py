@@ -20,7 +20,7 @@ from simulator.mission.pointing import level_matrices
 from simulator.mission.tables import read_rows
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
 from simulator.mission.trajectory import Trajectory
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 QUATERNION_COLUMNS = ("qx", "qy", "qz", "qw")

@@ -15,7 +15,7 @@ from simulator.mission.slews import build_slews
 from simulator.mission.tracking import build_tracking
 from simulator.mission.trajectories import build_trajectory
 from simulator.mission.trajectory import Trajectory
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 

@@ -19,7 +19,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.epochs import from_tdb_seconds, tdb_seconds
 from simulator.mission.spice import need_spiceypy
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.files import KERNEL_BYTES, check_file
 

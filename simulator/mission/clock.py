@@ -9,8 +9,7 @@ from typing import Any, overload
 import erfa
 
 from startracker.arguments import real_number
-from startracker.arrays import FloatArray
-from startracker.constants import DAYS_PER_JULIAN_YEAR, J2000_JD_TT
+from startracker.core import DAYS_PER_JULIAN_YEAR, J2000_JD_TT, FloatArray
 from startracker.errors import InputError
 from startracker.interop import is_time
 

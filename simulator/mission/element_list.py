@@ -14,7 +14,7 @@ from simulator.mission.element_files import read_elements
 from simulator.mission.frames import teme, to_gcrs
 from simulator.mission.mean_elements import MeanElements, epoch_s, sgp4_record
 from simulator.mission.trajectory import States
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 
 

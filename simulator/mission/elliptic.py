@@ -13,7 +13,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.frames import to_frame, to_gcrs
 from simulator.mission.kepler import Elements, perifocal, plane_axes, secular_rates
 from simulator.mission.trajectory import GM_KM3_S2, UNLIMITED
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import ForceModel
 from simulator.mission.trajectory import GM_KM3_S2, centre_state
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel, kernel_part
 
 BODIES = {

@@ -9,8 +9,7 @@ import erfa
 import numpy as np
 
 from simulator.mission.clock import Clock
-from startracker.arrays import FloatArray
-from startracker.constants import J2000_JD_TT
+from startracker.core import J2000_JD_TT, FloatArray
 from startracker.ephemeris import timescale
 
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from simulator.mission.clock import Clock
 from simulator.mission.trajectory import CENTRES, GM_KM3_S2, osculating_period_s
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 _REACH_S = 10.0

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from simulator.mission.parameters import Gyro
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 DEG_SQRT_H = math.radians(1.0) / 60.0
 """1 °/√h in rad/√s."""

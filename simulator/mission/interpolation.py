@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.tables import read_rows
 from simulator.optics.jitter import Jitter
 from simulator.optics.jitter_series import JitterSeries
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 
 COLUMNS = ("x_arcsec", "y_arcsec", "z_arcsec")
 

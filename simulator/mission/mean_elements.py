@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import teme, to_gcrs
 from simulator.mission.trajectory import refuse_outside
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 SGP4_EPOCH_JD = 2_433_281.5

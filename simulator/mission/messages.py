@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from simulator.mission.ccsds_names import centre_name
 from simulator.mission.clock import Clock
 from simulator.mission.trajectory import Trajectory
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 CAMERA_FRAME = "STARTRACKER_1"
 _AXES = f"COMMENT {CAMERA_FRAME}: +z along the boresight, +x along columns, +y along rows of the image"

@@ -26,7 +26,7 @@ from simulator.mission.pointing import Pointing, local_level
 from simulator.mission.slews import trapezoid
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude
 

@@ -13,7 +13,7 @@ from simulator.mission.forces import Forces
 from simulator.mission.interpolation import StateTable
 from simulator.mission.parameters import ForceModel
 from simulator.mission.trajectory import GM_KM3_S2, osculating_period_s, refuse_outside
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 _RELATIVE, _ABSOLUTE = 1e-12, 1e-9

@@ -28,9 +28,9 @@ from simulator.mission.secular import (
     sun_synchronous_inclination,
 )
 from simulator.mission.trajectory import UNLIMITED, Trajectory
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
-from startracker.registry import lookup
+from startracker.settings.registry import lookup
 
 DEFAULT_LTAN_H = 22.5
 """Local mean solar time of the ascending node if the section gives no node: 22:30 (descending node at 10:30), within 3°

@@ -19,11 +19,11 @@ from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import PointingParameters
 from simulator.mission.spin import spin_attitude, spin_rate_rad_s
 from simulator.mission.trajectory import Trajectory
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, direction_to_radec
-from startracker.registry import lookup
+from startracker.settings.registry import lookup
 
 _X, _Y, _Z = np.eye(3)
 

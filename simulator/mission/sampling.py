@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from simulator.randomness import stream
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 
 TROPICAL_YEAR_S = 365.2422 * 86_400.0

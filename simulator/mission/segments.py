@@ -14,7 +14,7 @@ import numpy as np
 from simulator.mission.ccsds import Item, read_items
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import elapsed_s
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError, InputWarning
 
 _HALF_MS = 5e-4

@@ -13,7 +13,7 @@ from simulator.mission.attitude_law import body_of
 from simulator.mission.clock import Clock
 from simulator.mission.parameters import Waypoints
 from simulator.mission.trajectory import UNLIMITED, refuse_outside
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 

@@ -17,7 +17,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.epochs import tdb_seconds
 from simulator.mission.spk import NAIF
 from simulator.mission.trajectory import Trajectory
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 SPACECRAFT_ID, CAMERA_ID = -999, -999_001

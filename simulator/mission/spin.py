@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from simulator.mission.parameters import Spin
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude, radec_to_direction
 
 

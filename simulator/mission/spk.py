@@ -14,7 +14,7 @@ from simulator.mission.epochs import from_tdb_seconds, tdb_seconds
 from simulator.mission.interpolation import StateTable
 from simulator.mission.tabulated import Segment, Table, TabulatedTrajectory
 from simulator.mission.trajectory import BARYCENTRE
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.files import KERNEL_BYTES, check_file
 

@@ -13,7 +13,7 @@ import numpy as np
 from simulator.mission.clock import Clock
 from simulator.mission.epochs import elapsed_s
 from simulator.parquet import read_parquet
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.files import MESSAGE_BYTES, read_text
 

@@ -16,7 +16,7 @@ from simulator.mission.frames import states_to_gcrs
 from simulator.mission.interpolation import StateTable
 from simulator.mission.tables import read_rows
 from simulator.mission.trajectory import GM_KM3_S2, centre_state, osculating_period_s, refuse_outside
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 CSV_COLUMNS = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")

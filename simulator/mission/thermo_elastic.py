@@ -15,8 +15,7 @@ import math
 import numpy as np
 
 from simulator.mission.parameters import ThermoElastic
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 
 
 def angle_from_noon_rad(r_km: FloatArray, v_km_s: FloatArray, sun_direction: FloatArray) -> float:

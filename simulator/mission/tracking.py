@@ -14,8 +14,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.frames import states_to_gcrs
 from simulator.mission.parameters import GroundTarget, Track
 from simulator.mission.trajectory import States, Trajectory, centre_state, geocentric
-from startracker.arrays import FloatArray
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, radec_to_direction
 

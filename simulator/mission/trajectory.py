@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from simulator.constants import EARTH_GM_KM3_S2
 from simulator.mission.clock import Clock
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.ephemeris import DE421_BARYCENTRES, DE421_NAME, barycentric, timescale
 from startracker.errors import InputError
 

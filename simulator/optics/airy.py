@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.special import j0, j1
 
 from simulator.optics.pixel_response import transfer
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 FIRST_RING = 1.2196698912665045
 """Radius of the first dark ring in units of λN: the first zero of J₁, 3.8317, over π."""

@@ -16,7 +16,7 @@ from scipy import fft
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import render_stars
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel_part, pixel_kernel

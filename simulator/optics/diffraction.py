@@ -11,7 +11,7 @@ from simulator.optics import pupil
 from simulator.optics.psf_model import FieldAberrations, PsfModel
 from simulator.optics.psf_table import pixel_matrix, sample_grid
 from simulator.optics.zernike import NOLL
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 
 def defocus_waves(shift_um: float, f_number: float, wavelength_nm: float) -> float:

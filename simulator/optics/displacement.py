@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import changed_fields
 from startracker.geometry.camera import Camera
 

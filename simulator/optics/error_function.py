@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel_part, pixel_kernel
 
 _PER_UNIT, _END = 16, 6

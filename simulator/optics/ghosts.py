@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 
 

@@ -32,8 +32,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.errors import InputError
 from startracker.files import CURVE_BYTES, read_text
 

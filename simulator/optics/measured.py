@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import erf
 
 from simulator.optics.diffraction import Images
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 CONTRAST = 50.0
 """Ratio of photon noise to background noise (variances) in the brightest pixel of the star that defines the position,

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import changed_fields
 
 _NODES, _WEIGHTS = leggauss(24)

@@ -17,10 +17,10 @@ from simulator.optics.measured import measured_centroid
 from simulator.optics.pixel_response import gaussian_shares
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
-from startracker.registry import lookup
+from startracker.settings.registry import lookup
 
 SIGMA_PER_RING = 1.34985 / 3.831705970207512
 """σ of the Gaussian that fits the core of an Airy pattern, over the radius of its first dark ring: the minimax fit of

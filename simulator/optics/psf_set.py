@@ -15,7 +15,7 @@ from simulator.optics import diffraction
 from simulator.optics.lens import Lens
 from simulator.optics.psf import Psf, aberrated, psf_of
 from simulator.optics.psf_model import FieldAberrations, PsfModel
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 
 WeightsOf = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]

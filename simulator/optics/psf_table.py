@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simulator.optics import pupil
 from simulator.optics.pixel_response import transfer
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 TAPS = 4
 """Points of the Lagrange interpolation between phases; the kernel in `simulator.optics.splat` is unrolled for four."""

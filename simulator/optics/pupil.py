@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import roots_legendre
 
 from simulator.optics.zernike import wavefront
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 ComplexArray = NDArray[np.complex128]
 

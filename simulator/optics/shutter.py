@@ -37,7 +37,7 @@ from simulator.optics.smear import (
     rotation_matrices,
     wander_length_px,
 )
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
 

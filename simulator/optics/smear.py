@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.pupil import legendre
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import ImageMap, to_pixels
 from startracker.kernels import kernel

@@ -12,7 +12,7 @@ from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simulator.optics.psf_table import TAPER_PX, smooth_step
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel_part
 
 _smooth_step = kernel_part(smooth_step)

@@ -39,7 +39,7 @@ from startracker.arguments import file_path, names_of, switch
 from startracker.arguments import text as text_of
 from startracker.display import described
 from startracker.errors import InputError, InputWarning
-from startracker.identification_settings import unread_keys
+from startracker.settings.identification import unread_keys
 
 _NOISELESS: dict[str, Any] = {
     "sky.background": False,

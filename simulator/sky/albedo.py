@@ -10,8 +10,8 @@ import numpy as np
 
 from simulator.optics.curves import load_curve
 from simulator.sky.spectra import SOLAR_B_V, SPECTRA, V_GRID_NM, colour_sequence, mean_v
-from startracker.arrays import FloatArray
-from startracker.registry import lookup
+from startracker.core import FloatArray
+from startracker.settings.registry import lookup
 
 _WIDE = {360.0: "u", 436.0: "b", 549.0: "v", 641.0: "r", 798.0: "i"}
 """Bands of the table that correspond to Bessell's passbands (R and I are Cousins'), by effective wavelength, nm."""

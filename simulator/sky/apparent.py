@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from simulator.sky.light import aberrated, bend_by_sun
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.stars import StarCatalog
-from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, SPEED_OF_LIGHT_KM_S
+from startracker.core import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.observer import Observer
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from scipy.spatial import cKDTree
 from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC
 from simulator.sky.earth import earth_radiance_map
 from simulator.sky.star_counts import light_between_s10
-from startracker.arrays import FloatArray
 from startracker.catalog import load_catalog
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from startracker.arrays import FloatArray
 from startracker.catalog.stars import StarCatalog
-from startracker.constants import MAS_RAD
+from startracker.core import MAS_RAD, FloatArray
 from startracker.display import changed_fields
 
 Words = NDArray[np.uint64]

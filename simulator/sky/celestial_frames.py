@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _OBLIQUITY_RAD = math.radians(84381.406 / 3600.0)
 ECLIPTIC = np.array(

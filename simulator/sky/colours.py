@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simulator.sky.library import published_colours
 from simulator.sky.spectra import LATE_GIANT
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 GIANT_SHARE = (
     *((0.55, 0.0), (0.65, 0.34), (0.75, 0.41), (0.85, 0.78), (0.95, 0.96), (1.05, 0.98)),

@@ -16,7 +16,7 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
-from startracker.arrays import BoolArray, FloatArray
+from startracker.core import BoolArray, FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel_part, pixel_kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import polynomial
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 R_V = 3.1
 """A_V / E(B−V) of the diffuse interstellar medium; Cardelli, Clayton & Mathis 1989."""

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 from simulator.randomness import stream
 from simulator.sky.background import star_contrast
 from simulator.sky.star_counts import count_between, draw_magnitudes
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.geometry.attitude import radec_to_direction
 
 _BAND_DEG = 4.0

@@ -20,8 +20,7 @@ import numpy as np
 from simulator.constants import PLANCK_J_S
 from simulator.optics.curves import load_curve
 from simulator.sky.monotone import MonotoneCubic
-from startracker.arrays import FloatArray
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray
 
 HC_J_NM = PLANCK_J_S * SPEED_OF_LIGHT_KM_S * 1e3 * 1e9
 """Energy of a photon times its wavelength."""

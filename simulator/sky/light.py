@@ -7,8 +7,7 @@ import math
 import erfa
 import numpy as np
 
-from startracker.arrays import FloatArray
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray
 
 
 def bend_by_sun(directions: FloatArray, from_sun_au: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.sky.ephemeris import sky_time
-from startracker.arrays import FloatArray
-from startracker.constants import AU_KM
+from startracker.core import AU_KM, FloatArray
 from startracker.ephemeris import barycentric, de421
 from startracker.observer import Observer
 

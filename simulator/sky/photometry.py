@@ -13,10 +13,10 @@ from simulator.optics.curves import Curve
 from simulator.sky.albedo import body_photons
 from simulator.sky.colours import population_giant_share
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA, Spectrum
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.registry import lookup
+from startracker.settings.registry import lookup
 
 _Tables = tuple[FloatArray, FloatArray, FloatArray]
 

@@ -34,8 +34,7 @@ from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import SatelliteParameters, Sky
 from simulator.sky.solar_system import RADIUS_KM
-from startracker.arrays import FloatArray, IntArray
-from startracker.constants import AU_KM, SPEED_OF_LIGHT_KM_S
+from startracker.core import AU_KM, SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 

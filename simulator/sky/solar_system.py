@@ -13,8 +13,7 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.sky.ephemeris import barycentric_position_au, sky_time
 from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import moon_v, planet_v, sun_v
-from startracker.arrays import FloatArray
-from startracker.constants import AU_KM
+from startracker.core import AU_KM, FloatArray
 from startracker.display import fields_repr
 from startracker.ephemeris import astrometric_au, barycentric
 from startracker.errors import InputError

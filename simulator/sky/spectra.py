@@ -13,7 +13,7 @@ from simulator.optics.curves import load_curve
 from simulator.sky.extinction import relative_extinction
 from simulator.sky.library import HC_J_NM, Sequence, sequence
 from simulator.sky.monotone import MonotoneCubic
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 Spectrum = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 

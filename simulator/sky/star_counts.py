@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _V = np.arange(4.0, 17.0)
 _COUNT = (558, 1744, 5326, 16503, 48559, 139375, 382925, 1048084, 2955951, 7346735, 17214116, 39387795, 88896114)

@@ -9,9 +9,9 @@ import numpy as np
 
 from simulator.mission.parameters import PointingParameters
 from simulator.sky.solar_system import RADIUS_KM, Bodies
-from startracker.arrays import FloatArray
 from startracker.catalog.names import designation_rows, proper_names
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, direction_to_radec
 

@@ -12,8 +12,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
 from simulator.sky.ephemeris import barycentric_position_au
-from startracker.arrays import FloatArray
-from startracker.constants import AU_KM
+from startracker.core import AU_KM, FloatArray
 
 
 def body_angles_deg(

@@ -14,7 +14,7 @@ from scipy.fft import irfft, rfft
 from scipy.special import bdtr, gammaincinv, ndtr, ndtri  # scipy.stats takes 17 MB and 0.2 s to load
 
 from simulator.randomness import stream
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 Interval = tuple[float, float]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.study.specification.outcome import outcome_counts_text
 from simulator.study.statistics import BODY_AXES
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import html_card
 
 if TYPE_CHECKING:

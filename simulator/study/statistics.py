@@ -22,7 +22,7 @@ from simulator.study.intervals import (
 from simulator.study.specification.outcome import identified, inconsistency, outcome_counts, outcome_flags
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import Judgement
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 BODY_AXES = ("roll", "pitch", "yaw")
 CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")

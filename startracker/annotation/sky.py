@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.solution import Solution
 
 _MINUTE, _SECOND = 1 / 60, 1 / 3600

@@ -20,8 +20,8 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
-from startracker.lens_fit import subsets
+from startracker.core import FloatArray
+from startracker.geometry.lens_fit import subsets
 
 _FIRST, _FURTHER = 0.01, 0.1
 """Prior odds of the first change, and of each further one. Their logarithm, not their value, moves the threshold: with
@@ -36,7 +36,7 @@ def applied_change(
     Parameters
     ----------
     names : tuple of str
-        Parameters, of `startracker.lens.PARAMETERS`.
+        Parameters, of `startracker.geometry.lens.PARAMETERS`.
     change : array, shape (P,)
         Estimated change since the ground.
     covariance : array, shape (P, P)

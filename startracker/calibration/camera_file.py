@@ -9,7 +9,7 @@ import numpy as np
 
 from startracker._version import __version__
 from startracker.calibration.result import Calibration
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 
 
 def rounded(value: float, sigma: float) -> str:

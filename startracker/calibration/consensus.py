@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
 from startracker.calibration.field import StarField
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
-from startracker.lens_fit import Matches, fit_jointly, rescaled
+from startracker.geometry.lens_fit import Matches, fit_jointly, rescaled
 
 _SIGMAS = 5.0
 _TOLERANCE = 6e-4

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from startracker.arguments import of_kind, real_array, text, whole_number
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray, IntArray
 from startracker.display import described
 from startracker.geometry.camera import Camera
 from startracker.identification.verification import nearest_unique

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from startracker.arguments import of_kind
-from startracker.arrays import BoolArray, FloatArray, IntArray
-from startracker.lens_fit import Matches
+from startracker.core import BoolArray, FloatArray, IntArray
+from startracker.geometry.lens_fit import Matches
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arguments import of_kind, real_number
-from startracker.arrays import FloatArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_filter import LensFilter, LensUpdate
 from startracker.calibration.psf_width import WidthFilter, star_widths
+from startracker.core import FloatArray
 from startracker.detection.bad_pixels import mask_pixels
 from startracker.detection.defect_map import DefectMap
 from startracker.display import described
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.camera import Camera
-from startracker.given_image import GivenImage
-from startracker.setting_checks import settings_or_default
+from startracker.inputs import GivenImage
 from startracker.settings import CentroidSettings, InFlightSettings
+from startracker.settings.checks import settings_or_default
 
 
 class InFlightCalibration:
@@ -111,7 +111,7 @@ class InFlightCalibration:
         stars : IdentifiedStars
             The stars of the frame; ``IdentifiedStars.of(solution, tracker)`` has those of a solution.
         given : GivenImage, optional
-            The image as read out, for the width of star images and defective pixels (`startracker.given_image`).
+            The image as read out, for the width of star images and defective pixels (`startracker.inputs`).
         """
         t_s = real_number("t_s", t_s, unit="s")
         camera_attitude("attitude", attitude)

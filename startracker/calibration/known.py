@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.blind import solve_unknown_fov
 from startracker.calibration.field import SkyPart, StarField, sky_part
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
-from startracker.lens_fit import Matches
+from startracker.geometry.lens_fit import Matches
 
 _STATED_PX = 0.1
 """Error of centroids given without one; only its uniformity matters."""

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
-from startracker.lens import by_turn, sensitivity
-from startracker.lens_fit import Matches
+from startracker.geometry.lens import by_turn, sensitivity
+from startracker.geometry.lens_fit import Matches
 
 _ATTITUDE_STEPS = 3
 _RATE_SIGMA_RAD_S = 0.2
@@ -54,7 +54,7 @@ def lens_equations(
     camera, matrix, stars
         Current lens, approximate attitude, and the stars of the frame (M).
     names : tuple of str
-        Parameters, of `startracker.lens.PARAMETERS`.
+        Parameters, of `startracker.geometry.lens.PARAMETERS`.
     field : array, shape (M, 2, C), optional
         Displacements by further unknowns, pixels (`startracker.calibration.residual_field`).
     """

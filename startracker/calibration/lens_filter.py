@@ -1,6 +1,6 @@
 """Recursive estimate of the lens from the stars of successive frames: a Kalman filter in information form.
 
-The parameters p of the lens (`startracker.lens.PARAMETERS`) are random walks with the drift q (per √s). The stars of a
+The parameters p of the lens (`startracker.geometry.lens.PARAMETERS`) are random walks with the drift q (per √s). The stars of a
 frame are measured at x = h(p, θ) + e; the attitude θ of the frame, and the rate of a rolling shutter, are unknown and
 marginalised: with the Jacobians H of p and B of θ, weights W and residuals r, the frame contributes
 
@@ -29,18 +29,18 @@ import numpy as np
 from scipy.special import chdtri
 
 from startracker.arguments import of_kind, real_array, real_number
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.calibration.applied import applied_change
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.lens_equations import LensEquations, lens_equations
 from startracker.calibration.residual_field import FrameInformation, ResidualField, field_columns
 from startracker.calibration.star_memory import StarMemory
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.display import described, fields_repr
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
-from startracker.lens import PARAMETERS, change_lens, corner_radius, is_one_to_one, value_of
-from startracker.setting_checks import settings_or_default
+from startracker.geometry.lens import PARAMETERS, change_lens, corner_radius, is_one_to_one, value_of
 from startracker.settings import InFlightSettings
+from startracker.settings.checks import settings_or_default
 
 _FEWEST_STARS = 4
 _REJECT_SIGMAS = 3.7
@@ -79,7 +79,7 @@ class LensUpdate:
 
 
 def initial_sigmas(settings: InFlightSettings, camera: Camera) -> FloatArray:
-    """Initial standard deviation of each parameter (P,), in the units of `startracker.lens.PARAMETERS`."""
+    """Initial standard deviation of each parameter (P,), in the units of `startracker.geometry.lens.PARAMETERS`."""
     parts = settings.focal_length_ppm, settings.principal_point_px, settings.distortion_px
     return _in_lens_units(settings.parameters, camera, *parts)
 

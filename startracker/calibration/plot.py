@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from startracker.calibration.result import Calibration
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.images.picture import figure_bytes
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """A camera from photographs of the sky: identify, match all stars, fit all images jointly, keep significant terms.
 
 1. Each image is identified with the focal length free (`startracker.blind`).
-2. Camera and attitudes are fitted to the matched stars of all images (`startracker.lens_fit`). Principal point, aspect,
+2. Camera and attitudes are fitted to the matched stars of all images (`startracker.geometry.lens_fit`). Principal point, aspect,
 radial and tangential terms are selected by the Bayesian information criterion (Schwarz 1978) over all combinations: a
 term must reduce χ² by more than ln(number of observations) per coefficient.
 3. All catalogue stars are projected and matched again within 3.7 robust standard errors, until convergence.
@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from startracker.arguments import names_of, of_kind, switch, text
-from startracker.arrays import FloatArray, IntArray
 from startracker.calibration.consensus import agreeing, focal_lengths, repeated
 from startracker.calibration.field import StarField, pair_up
 from startracker.calibration.known import KnownField, identify_all, starting_camera
@@ -28,12 +27,21 @@ from startracker.calibration.residual_field import FrameInformation, ResidualFie
 from startracker.calibration.result import CalibratedField, Calibration
 from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
+from startracker.estimation.association import REJECT_SIGMAS
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
-from startracker.identification.association import REJECT_SIGMAS
-from startracker.lens import PARAMETERS, only, plain
-from startracker.lens_fit import JointFit, Matches, fit_jointly, noise_floor, rescaled_equations, significant, stretch
+from startracker.geometry.lens import PARAMETERS, only, plain
+from startracker.geometry.lens_fit import (
+    JointFit,
+    Matches,
+    fit_jointly,
+    noise_floor,
+    rescaled_equations,
+    significant,
+    stretch,
+)
 
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05
@@ -77,7 +85,7 @@ def calibrate(
         Whether the images were taken through the atmosphere: a stretch of each field is fitted, which is not part of
         the camera. Without it, the aspect of a camera that is always level includes it.
     parameters : sequence of str, optional
-        Parameters to fit, of `startracker.lens.PARAMETERS`, instead of the selection by significance; the focal length
+        Parameters to fit, of `startracker.geometry.lens.PARAMETERS`, instead of the selection by significance; the focal length
         is always fitted.
 
     Returns

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arguments import ABOVE_0, real_array, real_number
-from startracker.arrays import FloatArray
 from startracker.centroid.frame import prepare
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_shape import Shape, fit_gaussian
+from startracker.core import FloatArray
 from startracker.detection.background import Background
 from startracker.display import described
 from startracker.settings import CentroidSettings

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 
 _DEGREE = 4

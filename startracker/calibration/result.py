@@ -9,12 +9,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.display import described
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.lens import prior_of
+from startracker.geometry.lens import prior_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ class CalibratedField:
     centroids: int
     """Number of all centroids of the image."""
     refraction: FloatArray
-    """Fitted stretch (`startracker.lens_fit.stretch`), (2,); zero if not fitted."""
+    """Fitted stretch (`startracker.geometry.lens_fit.stretch`), (2,); zero if not fitted."""
 
     def __repr__(self) -> str:
         stars = f"{len(self.xy)} stars, {self.rejected} rejected"
@@ -63,8 +62,8 @@ class Calibration:
     ----------
     camera : Camera
     names : tuple of str
-        Fitted parameters, of `startracker.lens.PARAMETERS`; the others were not significant and have their values of
-        `startracker.lens.plain`.
+        Fitted parameters, of `startracker.geometry.lens.PARAMETERS`; the others were not significant and have their values of
+        `startracker.geometry.lens.plain`.
     covariance : (P, P)
         Covariance of these, with errors scaled by √(χ²/ν) and the effect of the distortion `field_px`.
     fields : tuple of CalibratedField

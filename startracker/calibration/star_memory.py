@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.core import BoolArray, FloatArray, IntArray
 
 _FADING = 0.99
 """Weight of earlier residuals of a star at each new one."""

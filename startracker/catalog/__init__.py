@@ -10,7 +10,7 @@ from startracker.catalog.bsc5 import load_bsc5
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.hipparcos import load_hipparcos
 from startracker.catalog.stars import StarCatalog
-from startracker.registry import lookup
+from startracker.settings.registry import lookup
 
 __all__ = ["CATALOGS", "StarCatalog", "as_catalog", "load_bsc5", "load_catalog", "load_hipparcos", "merge_doubles"]
 

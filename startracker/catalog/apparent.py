@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import pixel_kernel
 from startracker.observer import aberrated
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from startracker.catalog.fixed_width import FixedWidth
 from startracker.catalog.stars import StarCatalog
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 
 EPOCH_JYEAR = 2000.0
 """Epoch and equinox of the positions; FK5, which agrees with ICRS to 0.1″, below the rounding of the file."""

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.stars import StarCatalog
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray, IntArray
 
 _SEARCH_ARCSEC = 25.0
 """The Bright Star Catalogue is wrong by up to 15″ for stars of high proper motion (61 Cygni)."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel_part
 

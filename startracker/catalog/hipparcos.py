@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from startracker.arrays import FloatArray
 from startracker.catalog import cache
 from startracker.catalog.bsc5 import load_bsc5
 from startracker.catalog.complete import complete
 from startracker.catalog.fixed_width import FixedWidth
 from startracker.catalog.stars import StarCatalog, mas
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.errors import InputError
 
 EPOCH_JYEAR = 1991.25

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from startracker.arrays import FloatArray
 from startracker.catalog.field_shape import FieldShape
 from startracker.catalog.voxels import VoxelGrid
+from startracker.core import FloatArray
 
 
 class SkyView(NamedTuple):

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arguments import real_array, real_number, text
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD
+from startracker.core import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD, FloatArray
 from startracker.display import described, quantity_range
 from startracker.errors import InputError
 from startracker.geometry.attitude import direction_to_radec, radec_to_direction

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import sort

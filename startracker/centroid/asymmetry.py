@@ -23,7 +23,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_model import PsfModel, Samples, gaussian_psf
@@ -31,6 +30,7 @@ from startracker.centroid.psf_shape import LARGEST_HALF_PX, fit_gaussian
 from startracker.centroid.psf_sums import fill_window
 from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Pixels, read_pixels
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel, kernel_part
 
 _SQRT_HALF = math.sqrt(0.5)

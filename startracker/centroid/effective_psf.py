@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from startracker.arguments import real_number, whole_number
-from startracker.arrays import FloatArray
 from startracker.centroid.frame import Prepared, measure_moments, prepare
 from startracker.centroid.psf_kernel import FITTED, Starts, fit_stars
 from startracker.centroid.psf_model import PsfModel
 from startracker.centroid.psf_shape import frame_psf
+from startracker.core import FloatArray
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.errors import InputError

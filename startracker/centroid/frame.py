@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
 from startracker.centroid.result import Centroids
 from startracker.centroid.window import Peaks, Pixels, frame_widths, measure_stars
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.background import Background
 from startracker.detection.plane import sample_plane
 from startracker.detection.spots import Spots

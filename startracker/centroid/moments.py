@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.arrays import IntArray
 from startracker.centroid.frame import collect, measure_moments, prepare
 from startracker.centroid.psf_fit import weighted_table
 from startracker.centroid.result import Centroids
+from startracker.core import IntArray
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.asymmetry import (
     EXAMINED_ASYMMETRIC,
     LEAST_ASYMMETRIC,
@@ -23,6 +22,7 @@ from startracker.centroid.psf_shape import frame_psf
 from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.centroid.skewness import skewness_covariance
 from startracker.centroid.window import MEASURED, Peaks, Pixels
+from startracker.core import FloatArray, IntArray
 from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image

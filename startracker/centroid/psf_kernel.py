@@ -7,10 +7,10 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.psf_model import Samples
 from startracker.centroid.psf_sums import fill_window, interpolate, interpolated, normal_equations, weigh_pixels
 from startracker.centroid.window import Pixels, read_pixels
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
 

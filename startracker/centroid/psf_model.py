@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.files import CURVE_BYTES, check_file

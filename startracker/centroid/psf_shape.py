@@ -7,13 +7,13 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.frame import MODEL_STARS, Prepared, brightest_alone
 from startracker.centroid.psf_kernel import Starts, fit_stars
 from startracker.centroid.psf_model import PsfModel, gaussian_psf
 from startracker.centroid.psf_sums import normal_equations
 from startracker.centroid.window import Pixels, read_pixels
+from startracker.core import FloatArray, IntArray
 from startracker.detection.spots import Spots
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
 from startracker.centroid.psf_model import Samples
+from startracker.core import FloatArray
 from startracker.kernels import kernel, kernel_part, kernel_with
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.light import Light
 from startracker.display import fields_repr
 

@@ -25,9 +25,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part
 

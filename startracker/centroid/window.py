@@ -8,8 +8,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.centroid.bias import GUESSES, fill_centres, guess_centre, invert_from, invert_moments, window_moments
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_part

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel, join_tables
 from startracker.detection.thresholds import (

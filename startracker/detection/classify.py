@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.detection.cosmic_rays import Sharpness, is_sharp, measure_more, sharpest_star
 from startracker.detection.forms import is_halo, measure_forms
 from startracker.detection.shapes import PEAK_SHARE

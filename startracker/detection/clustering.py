@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.detection.background import Background, as_image
 from startracker.detection.forms import brightest_first
 from startracker.detection.objects import find_runs, join_runs

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arguments import of_kind, real_array, real_number, whole_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.bad_pixels import BadPixelCount, as_mask
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.camera import Camera

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.motion import elongations
 from startracker.detection.sources import Sources
 from startracker.detection.thresholds import (

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray
+from startracker.core import BoolArray, FloatArray
 from startracker.detection.background import Background
 from startracker.detection.values import Image
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.thresholds import (
     AGREEING_SHARE,
     CLEAR_MOTION_PX,

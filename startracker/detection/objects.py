@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.values import Image

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.background import Background, noise_floor
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.detection.background import Background
 from startracker.detection.forms import are_long, measure_forms
 from startracker.detection.motion import agrees, frame_motion, motion_at

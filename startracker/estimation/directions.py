@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import cross, inverse, transform, turned
 from startracker.kernels import kernel, kernel_part
 

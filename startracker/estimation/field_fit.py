@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol, TypeAlias, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.directions import fit_pairs
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import covariance_of, polish

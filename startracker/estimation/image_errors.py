@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import pixel_slopes
 

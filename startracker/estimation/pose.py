@@ -43,7 +43,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.image_errors import AS_ASSUMED
 from startracker.geometry.linalg import inverse
 from startracker.kernels import kernel, kernel_part

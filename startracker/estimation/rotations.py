@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.linalg import inverse, turned
 
 _STEPS = 12

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.result import Estimate, check_directions
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.directions import pair_rotation
 from startracker.estimation.result import Estimate, check_directions
 from startracker.estimation.rotations import common_frame, covariance_of, most_telling_pair, polish

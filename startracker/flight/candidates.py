@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.flight.hypotheses import LARGEST_VARIANCE, SURE_BEYOND, Work, pair_frame
 from startracker.flight.search_plan import Search
 from startracker.flight.votes import vote_about

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import BoolArray, FloatArray
+from startracker.core import BoolArray, FloatArray
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.formats import Integers, divide

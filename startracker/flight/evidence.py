@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
 from startracker.flight.search_tables import (
     COUNT_BITS,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.flight.front_tables import BLOCK, FrontTables
 
 LEAST_NOISE = 18

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from startracker.arrays import BoolArray, IntArray
+from startracker.core import BoolArray, IntArray
 from startracker.flight.front_background import at_columns, square_root
 from startracker.flight.front_rows import Searched
 from startracker.flight.front_tables import OBJECTS, FrontTables

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import BoolArray, IntArray
+from startracker.core import BoolArray, IntArray
 from startracker.errors import InputError
 from startracker.flight.front_background import square_root
 from startracker.flight.front_components import LONG, Objects, at_border, find_objects, saturated_stars

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, IntArray
+from startracker.core import BoolArray, IntArray
 from startracker.flight.front_background import square_root
 from startracker.flight.front_rows import Candidates
 from startracker.flight.front_stamps import StarImage, inside_frame

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import BoolArray, IntArray
+from startracker.core import BoolArray, IntArray
 from startracker.flight.front_background import Lines, at_columns, background_lines
 from startracker.flight.front_tables import HALF, HOT, RUNS, TRAIL_RUNS, FrontTables
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, IntArray
+from startracker.core import BoolArray, IntArray
 from startracker.flight.front_components import Objects, major_variance
 from startracker.flight.front_rows import Candidates
 from startracker.flight.front_tables import HALF, LEAST_IMAGE, MOST_IMAGE, SHAPE_VARIANCE_PX2, FrontTables

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.detection.cosmic_rays import peak_share
 from startracker.detection.matched import DEFAULT_SIGMA_PX, matched_kernel
 from startracker.detection.scan import kernel_half

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.flight.front_tables import FrontTables
 from startracker.flight.stars import MOST_VARIANCE
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from startracker.arrays import BoolArray, IntArray
+from startracker.core import BoolArray, IntArray
 from startracker.flight.front_background import at_columns
 from startracker.flight.front_components import major_variance
 from startracker.flight.front_motion import Motion, agrees, common_motion, lies_on

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.fixed_point.evidence import LOG_BITS, NEVER
 from startracker.fixed_point.vectors import cross, normalized
 from startracker.flight.apparent import FlightObserver

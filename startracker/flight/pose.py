@@ -1,6 +1,6 @@
 """Attitude and covariance of a frame from its identified stars, in integers.
 
-The steps are those of `startracker.refine`: all stars of the list that agree with guide stars of the field are matched
+The steps are those of `startracker.estimation.refine`: all stars of the list that agree with guide stars of the field are matched
 again with the attitude of the identified ones, with gates from the median of the residuals; then the fit of `pose_fit`
 estimates the actual errors, and its gates select the stars of the next fit, until they no longer change. Residuals are
 measured in pixels of the image, through the derivatives of the grid table.
@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray
+from startracker.core import BoolArray
 from startracker.errors import InputError
 from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.formats import Integers, divide

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.flight.apparent import FlightObserver
 from startracker.flight.candidates import CandidateWork
 from startracker.flight.evidence import Sight

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 
 
 class Search(NamedTuple):

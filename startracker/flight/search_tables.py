@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaln, pdtrc
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import field_shape
 from startracker.catalog.guide import GuideDatabase, brightest_everywhere
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS
 from startracker.fixed_point.vectors import DIRECTION
@@ -33,7 +33,7 @@ from startracker.identification.bayes_factor import (
     largest_density,
 )
 from startracker.identification.verification import MOST_EXTRA
-from startracker.identification_settings import AdaptiveSettings
+from startracker.settings.identification import AdaptiveSettings
 
 DIRECTION_BITS, MAGNITUDE_BITS, DENSITY_BITS, CROWD_BITS, COUNT_BITS = 30, 6, 20, 30, 6
 """Fraction bits of directions, magnitudes, densities of magnitudes, the kernel of the crowding, and of the logarithms

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.display import described
 from startracker.fixed_point.evidence import LOG_BITS
 from startracker.flight.apparent import flight_observer

@@ -9,7 +9,7 @@ from startracker.errors import InputError
 from startracker.fixed_point.formats import ANGLE
 from startracker.flight.design import FlightDesign
 from startracker.identification.hypothesis import WIDEST_SHARE
-from startracker.identification_settings import TriadSettings
+from startracker.settings.identification import TriadSettings
 
 MOST_STARS = 24
 """Brightest stars that make triads at most."""

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.fixed_point.arithmetic import FULL_TURN, inner_angles
 from startracker.fixed_point.cordic import FINE_BITS, fine_angles
 from startracker.fixed_point.formats import ANGLE

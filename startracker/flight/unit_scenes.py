@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import StarList
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.fixed_point.square_root import rooted
 from startracker.flight.evidence import Sight
 from startracker.flight.search_plan import Search

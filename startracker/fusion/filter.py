@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arguments import ABOVE_0, real_array, real_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.fusion.alignments import AlignedMekf
 from startracker.fusion.head import Head
@@ -26,7 +26,7 @@ from startracker.fusion.state import FusionStatus, HeadRecord, Measurement, Stat
 from startracker.fusion.status import status_of
 from startracker.fusion.trust import measured
 from startracker.geometry.attitude import Attitude
-from startracker.setting_checks import BELOW_1
+from startracker.settings.checks import BELOW_1
 from startracker.tracking.checked import checked_attitude, checked_covariance, checked_rate, checked_time
 from startracker.tracking.mekf import GyroNoise, RateNoise
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.fusion.alignments import AlignedMekf
 from startracker.geometry.attitude import Attitude
 from startracker.tracking.mekf import Innovation

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.fusion.alignments import AlignedMekf
 from startracker.fusion.state import KNOWN, MOST_REJECTED, FusionStatus, HeadRecord, HeadStatus, State
 from startracker.fusion.windows import contradiction, unseen_shift

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.fusion.state import SCALES, HeadRecord, Window
 from startracker.tracking.mekf import Innovation, chi_square_limit
 

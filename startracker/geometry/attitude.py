@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arguments import of_kind, real_array, real_number, text
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import FrameMismatchError, InputError
 from startracker.interop import is_rotation, is_skycoord, rotation_quat, skycoord_deg
 

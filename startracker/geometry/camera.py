@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arguments import file_path, of_kind, real_array, real_number, text, whole_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.files import read_yaml

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from startracker.arguments import real_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import changed_fields
 from startracker.kernels import kernel_part
 

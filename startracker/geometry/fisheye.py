@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel, kernel_part
 
 PROJECTIONS = ("pinhole", "fisheye", "equidistant", "equisolid")

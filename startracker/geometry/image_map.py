@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.distortion import project_pinhole, unproject_pinhole
 from startracker.geometry.fisheye import fisheye_project, fisheye_unproject
 from startracker.kernels import kernel

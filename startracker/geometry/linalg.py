@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel, kernel_part
 
 _LEAST_PIVOT = 1e-14

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.voxels import stars_in_cone
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.estimation.directions import focal_slopes
 from startracker.identification.acceptance import accepts, power_of_ten
 from startracker.identification.hypothesis import HypothesisPool, tried_scales

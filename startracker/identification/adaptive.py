@@ -21,8 +21,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, PairList
+from startracker.core import FloatArray, IntArray
 from startracker.identification.candidate_search import Effort, Verifier
 from startracker.identification.hypothesis import HypothesisPool, kernel_stars, too_few
 from startracker.identification.observed import Identification, Observed, Prior

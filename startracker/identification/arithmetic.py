@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.wide import WideArithmetic

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import log_determinant
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median, order_of

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
+from startracker.core import FloatArray
 from startracker.identification.hypothesis import HypothesisPool, hypothesis_of
 from startracker.identification.occupancy import NO_OCCUPANCY, Occupancy, occupancy_map
 from startracker.identification.other_stars import Confirmation, next_confirmed

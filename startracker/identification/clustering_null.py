@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.kernels import kernel_part
 
 WIDTHS = 8

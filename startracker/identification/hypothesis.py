@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
+from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import focal_slopes
 from startracker.identification.acceptance import SURE_BEYOND, accepts, log_chance, log_limit, power_of_ten
 from startracker.identification.bayes_factor import count_table, largest_density

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
 from startracker.arguments import pair, real_number
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS, PLANE_BITS, Tables
 from startracker.fixed_point.vectors import DIRECTION

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.kernels import kernel_part
 
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase
+from startracker.core import FloatArray, IntArray
 from startracker.estimation.wahba import fit_rotation
 from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few
 from startracker.identification.match_kernels import (

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import triple_product
 from startracker.kernels import kernel, kernel_part
 

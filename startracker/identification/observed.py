@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from startracker.arguments import ABOVE_0, real_number
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.image_map import ImageMap, to_directions

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
+from startracker.core import FloatArray
 from startracker.identification.occupancy import Occupancy, is_occupied
 from startracker.identification.search_state import Candidates, Stars
 from startracker.kernels import kernel, kernel_part

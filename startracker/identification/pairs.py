@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import PairList
+from startracker.core import FloatArray, IntArray
 
 PAIR_SIGMAS = 4.0
 """A true pair's separation is measured within this many standard errors: 6e-5 of them are lost."""

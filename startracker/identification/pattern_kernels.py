@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import star_within
+from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import normal_equations, pair_rotation
 from startracker.geometry.linalg import chord, rotate_back, solve, transform, triple_product, turned
 from startracker.identification.pattern_table import BINS, EMPTY, SIZE_STEPS, PatternTable, home_slot, sorted_edges

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, Int32Array, IntArray
+from startracker.core import FloatArray, Int32Array, IntArray
 from startracker.identification.search_plan import MOST_VOTES
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, window

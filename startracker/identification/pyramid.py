@@ -19,10 +19,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
+from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import pair_rotation
 from startracker.geometry.linalg import chord, rotate_back, triple_product
 from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few, tried_scales

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc, pdtr, pdtrc, pdtrik  # scipy.stats would take 36 MB and half a second to load
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.identification.bayes_factor import SCALE_LOG_PRIOR, SCALES, count_table
 from startracker.identification.verification import MOST_EXTRA
 

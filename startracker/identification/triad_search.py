@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_tables import TriadTables
 from startracker.kernels import kernel

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.arithmetic import Arithmetic, Numbers

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arrays import IntArray
+from startracker.core import IntArray
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_search import TriadLimits, Triads, find_triads, image_pairs
 from startracker.identification.triad_tables import TriadTables

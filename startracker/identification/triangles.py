@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, Int32Array, IntArray
+from startracker.core import FloatArray, Int32Array, IntArray
 from startracker.geometry.linalg import triple_product
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.kernels import kernel, kernel_part

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
+from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import normal_equations
 from startracker.geometry.linalg import rotate_back, solve, transform, turned
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _B_V_GRID = np.linspace(-0.4, 2.0, 49)
 _C2_NM_K = 1.438776877e7

@@ -9,10 +9,10 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from startracker.arguments import of_kind
-from startracker.arrays import FloatArray
 from startracker.calibration.identified_stars import IdentifiedStars
 from startracker.calibration.in_flight import InFlightCalibration
-from startracker.given_image import GivenImage, given_image
+from startracker.core import FloatArray
+from startracker.inputs import GivenImage, given_image
 from startracker.observer import Observer, corrects_aberration
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution

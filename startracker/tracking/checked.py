@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arguments import of_kind, real_array, real_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import inverse, transform, turned
 from startracker.kernels import kernel_part
 from startracker.sorting import order_of

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.directions import normal_equations
 from startracker.geometry.linalg import factorise, substitute, transform
 from startracker.kernels import kernel, kernel_part

@@ -9,17 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arrays import FloatArray, IntArray
-from startracker.bodies import beside_bodies
+from startracker.catalog.bodies import beside_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.detection import Background
 from startracker.errors import InputError
+from startracker.estimation.refine_stars import IMAGE_FLOOR_PX, STATED_PX
 from startracker.geometry.image_map import to_directions
-from startracker.given_centroids import SAME_STAR_PX
+from startracker.inputs import SAME_STAR_PX
 from startracker.observer import Observer
-from startracker.refine_stars import IMAGE_FLOOR_PX, STATED_PX
 from startracker.tracker import StarTracker
 from startracker.tracking.matching import expected_stars, spreads
 from startracker.tracking.windows import first_of_each, lay_out, to_image

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
+from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import fit_turn
 from startracker.geometry.linalg import cross, inverse, rotate_back, transform, turned
 from startracker.kernels import kernel, kernel_part

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from startracker.arguments import ABOVE_0, of_kind, real_array, real_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import angle_text, described, fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, quat_multiply, quat_to_matrix

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation, label
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.background import Background, estimate
 from startracker.detection.bad_pixels import mask_pixels
 from startracker.detection.defect_map import DefectMap

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 
 _FRAMES = 8
 """Number of frames remembered: more than the buffers of a camera driver."""

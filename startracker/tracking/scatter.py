@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.wahba import attitude_covariance
 from startracker.geometry.camera import Camera
 

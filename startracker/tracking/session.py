@@ -16,19 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arguments import ABOVE_0, of_kind, real_array, real_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import described
+from startracker.estimation.refine_stars import STATED_PX
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude, camera_attitude
-from startracker.given_image import GivenImage, given_image
 from startracker.identification.acceptance import accepts
+from startracker.inputs import GivenImage, given_image
+from startracker.inputs import plain as plain_array
 from startracker.interop import plain
 from startracker.observer import Observer, corrects_aberration
-from startracker.refine_stars import STATED_PX
-from startracker.setting_checks import settings_or_default
 from startracker.settings import TrackingSettings
+from startracker.settings.checks import settings_or_default
 from startracker.solution import Solution, Status
-from startracker.survey import plain as plain_array
 from startracker.tracker import StarTracker
 from startracker.tracking.checked import checked_rate
 from startracker.tracking.following import Followed

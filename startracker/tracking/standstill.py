@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.tracking.mekf import GyroNoise, Mekf, chi_square_limit, rotation_between
 
 _STILL = 1e-4

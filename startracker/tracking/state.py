@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import described
 from startracker.tracking.mekf import Innovation
 

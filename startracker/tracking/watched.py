@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arguments import real_array
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.estimation import Estimator
 from startracker.geometry.attitude import Attitude

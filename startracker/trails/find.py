@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
 from startracker.centroid.psf_fit import MISFIT_SIGMA, SYSTEMATIC_PX
 from startracker.centroid.result import Centroids, misfit_of_brightest
+from startracker.core import FloatArray
 from startracker.detection.background import Background
 from startracker.detection.matched import DEFAULT_SIGMA_PX, quantiles
 from startracker.detection.motion import agrees

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.detection.matched import matched_kernel, quantiles
 from startracker.detection.motion import motion_at
 from startracker.detection.plane import Plane

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.detection.motion import agrees, common_motion, motion_at
 from startracker.detection.plane import Plane
 from startracker.detection.thresholds import MOTION_TOLERANCE_PX, MOTION_TOLERANCE_SHARE

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
 from startracker.centroid.result import Centroids
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 
 

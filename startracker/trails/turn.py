@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray
 from startracker.centroid.psf_fit import MISFIT_SIGMA
 from startracker.centroid.result import Centroids
+from startracker.core import FloatArray
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
 from startracker.geometry.linalg import solve

@@ -17,7 +17,7 @@ from simulator.study.datasheet import run
 from simulator.study.datasheet.run import RESULT_FILES, datasheet
 from simulator.study.datasheet.sheet import Amounts
 from simulator.study.datasheet.tasks import PARTS_FOLDER, Interrupted, Task, TaskRunner
-from startracker.arrays import Columns
+from startracker.core import Columns
 
 pytestmark = pytest.mark.system
 

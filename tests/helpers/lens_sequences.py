@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from startracker.calibration import IdentifiedStars
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
-from startracker.lens import change_lens
+from startracker.geometry.lens import change_lens
 
 WIDE = Camera.from_fov(26.0, 1024, 1024, Distortion(k1=-0.05))
 

@@ -19,7 +19,7 @@ from simulator.live.basilisk import CameraStarTracker
 from simulator.live.mrp import attitude_of_mrp, euler_parameters, mrp_of_attitude
 from simulator.scenario import Scenario
 from startracker import Attitude
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.errors import InputError
 
 MOUNTING = Attitude.from_rotation_vector([0.3, -1.1, 0.4], "body", "camera")

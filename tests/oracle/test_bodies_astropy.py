@@ -11,7 +11,7 @@ from astropy.coordinates import get_body_barycentric, get_body_barycentric_posve
 from astropy.time import Time
 
 from startracker import InputError, Observer
-from startracker.bodies import body_directions
+from startracker.catalog.bodies import body_directions
 
 
 @pytest.mark.parametrize("year", [1997.25, 2015.1, 2026.5])

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from startracker import lens_fit as joint
+from startracker.geometry import lens_fit as joint
 from startracker.geometry.camera import Camera
-from startracker.lens_fit import Matches, fit_jointly
+from startracker.geometry.lens_fit import Matches, fit_jointly
 
 HERE = Path(__file__).parent
 STORED = json.loads((HERE / "data" / "calibration_opencv.json").read_text(encoding="utf-8"))

@@ -17,7 +17,7 @@ from startracker import detection as detecting
 from startracker.calibration import StarField, calibrate
 from startracker.catalog import load_catalog
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import given_image
+from startracker.inputs import given_image
 from startracker.observer import Observer
 from startracker.settings import CentroidSettings, DetectionSettings
 

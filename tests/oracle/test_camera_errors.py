@@ -26,7 +26,7 @@ from simulator.optics.splat import render_stars
 from simulator.study.trials.trial import TrialRunner
 from startracker import Attitude, Camera, StarTracker
 from startracker.calibration import StarField, calibrate
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.geometry.distortion import Distortion
 from startracker.geometry.image_map import pixel_slopes
 

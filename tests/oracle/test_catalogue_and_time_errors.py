@@ -13,7 +13,7 @@ from simulator.study.sequence.run import run_sequence
 from simulator.study.star_tracker import build_tracker
 from simulator.study.trials.trial import TrialRunner, attitude_errors_deg
 from startracker.catalog import load_catalog
-from startracker.constants import ARCSEC_RAD, MAS_RAD
+from startracker.core import ARCSEC_RAD, MAS_RAD
 from startracker.geometry.image_map import pixel_slopes
 
 QUIET = ["sky.earth=false", "sky.planets=false", "pointing.error_deg=0", "study.sampling=sky"]

@@ -29,7 +29,7 @@ from simulator.mission.kepler import Elements
 from simulator.mission.oem import read_oem
 from simulator.mission.spk import read_spk
 from simulator.study.sequence.run import run_sequence
-from startracker.constants import AU_KM
+from startracker.core import AU_KM
 from startracker.ephemeris import de421_file
 
 EPOCH = datetime(2026, 3, 21, 12, tzinfo=UTC)

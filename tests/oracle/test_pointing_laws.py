@@ -27,7 +27,7 @@ from simulator.mission.pointing import local_level, mounting_of
 from simulator.mission.tracking import ground_states
 from simulator.mission.trajectories import build_trajectory
 from simulator.mission.trajectory import centre_state
-from startracker.constants import AU_KM
+from startracker.core import AU_KM
 from startracker.ephemeris import de421
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude

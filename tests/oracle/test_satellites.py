@@ -22,7 +22,7 @@ from simulator.scenario import Scenario
 from simulator.sky.observer import is_sunlit
 from simulator.sky.satellites import behind_earth, diffuse_phase, standard_magnitude, sunlit_share
 from simulator.sky.solar_system import sun_position_au
-from startracker.constants import ARCSEC_RAD, AU_KM
+from startracker.core import ARCSEC_RAD, AU_KM
 from startracker.ephemeris import barycentric, de421, timescale
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude

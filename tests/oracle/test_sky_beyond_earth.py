@@ -18,7 +18,7 @@ from simulator.scene import GivenState
 from simulator.sky.apparent import apparent_directions, largest_shift_rad
 from simulator.sky.instants import Instants
 from startracker.catalog import load_catalog
-from startracker.constants import AU_KM, MAS_RAD
+from startracker.core import AU_KM, MAS_RAD
 from startracker.ephemeris import de421
 from startracker.errors import InputError
 from startracker.geometry.attitude import direction_to_radec

@@ -17,7 +17,7 @@ from simulator.sky.magnitudes import SATURN_POLE, URANUS_AXES_SQUARED, URANUS_PO
 from simulator.sky.observer import observe
 from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import RADIUS_KM, solar_system, sun_position_au
-from startracker.constants import ARCSEC_RAD, AU_KM, MAS_RAD
+from startracker.core import ARCSEC_RAD, AU_KM, MAS_RAD
 from startracker.ephemeris import barycentric
 from startracker.errors import InputError
 

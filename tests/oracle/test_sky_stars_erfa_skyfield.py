@@ -20,7 +20,7 @@ from simulator.sky.observer import observe
 from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import solar_system, sun_position_au
 from startracker.catalog import load_catalog
-from startracker.constants import ARCSEC_RAD, AU_KM, MAS_RAD
+from startracker.core import ARCSEC_RAD, AU_KM, MAS_RAD
 from startracker.observer import aberrate
 
 NEAR_AND_FAST = [87937, 104214, 104217, 71683, 71681, 24186]

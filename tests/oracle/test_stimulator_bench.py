@@ -25,7 +25,7 @@ from simulator.live.stimulator import (
 from simulator.live.stimulator.geometry_fit import fit_geometry
 from simulator.live.stimulator.photographs import find_dots
 from startracker import Attitude, Camera, Distortion, InputError, Observer, StarTracker, load_catalog
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 
 PATTERN = Pattern(1280, 1024)
 BENCH = Bench(black=2e-4)

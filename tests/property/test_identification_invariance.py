@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from startracker import Attitude, Camera, StarTracker
 from startracker.geometry.attitude import rotation_vector_to_matrix
-from startracker.identification.quads import quad_codes, sky_codes
+from startracker.identification.unknown_scale.quads import quad_codes, sky_codes
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -17,8 +17,8 @@ from startracker import Attitude, Camera, InputError
 from startracker.calibration import StarField, calibrate
 from startracker.catalog import load_catalog
 from startracker.geometry.distortion import Distortion
-from startracker.lens import value_of
-from startracker.lens_fit import Matches, fit_jointly, rescaled
+from startracker.geometry.lens import value_of
+from startracker.geometry.lens_fit import Matches, fit_jointly, rescaled
 
 NAMES = ("f", "aspect", "cx", "cy", "k1", "k2", "p1", "p2")
 

@@ -10,7 +10,7 @@ from simulator import Scenario
 from simulator.study.trials.trial import TrialRunner
 from startracker import centroid, detection
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import given_image
+from startracker.inputs import given_image
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.tracking.looking import Sky, look
 

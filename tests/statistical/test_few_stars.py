@@ -14,10 +14,10 @@ from simulator.scenario import Scenario
 from simulator.study.trials.trial import TrialRunner
 from startracker import Attitude, Camera, StarTracker
 from startracker.centroid.result import Measured
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.estimation import wahba_svd
+from startracker.estimation.refine import refine
 from startracker.observer import Observer
-from startracker.refine import refine
 
 CAMERA = Camera.from_fov(12.0, 1024, 1024)
 LIMIT = chi2.isf(0.001, 3)

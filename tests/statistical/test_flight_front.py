@@ -17,7 +17,7 @@ from startracker.detection import find_components
 from startracker.flight.front_background import at_columns, background_lines
 from startracker.flight.front_end import front_tables, measure_frame
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import GivenImage
+from startracker.inputs import GivenImage
 
 pytestmark = pytest.mark.system
 

@@ -7,7 +7,7 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker, Status, solve_unknown_fov
 from startracker.estimation.few_stars import few_stars_factor
-from startracker.identification.free_scale import log_evidence
+from startracker.identification.unknown_scale.free_scale import log_evidence
 from startracker.observer import Observer
 
 WRONG_DEG = 0.5

@@ -17,10 +17,10 @@ from simulator.study.intervals import mean_chi_square_bounds
 from simulator.study.trials.trial import TrialRunner, solve_frame
 from startracker import Attitude, Camera, StarTracker
 from startracker.centroid.result import Measured
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.estimation import field_fit
+from startracker.estimation.refine import refine
 from startracker.observer import Observer
-from startracker.refine import refine
 
 DIFFRACTION = ("optics.psf.model=diffraction", "optics.psf.sigma_px=null")
 ROLLING = ("detector.kind=cmos", "detector.shutter=rolling")

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from startracker.estimation.association import joined
 from startracker.identification.acceptance import (
     SURE_BEYOND,
     WITHIN_PRIOR_BEYOND,
@@ -14,7 +15,6 @@ from startracker.identification.acceptance import (
     log_chance,
     power_of_ten,
 )
-from startracker.identification.association import joined
 from startracker.identification.observed import Identification
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status

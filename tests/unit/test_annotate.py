@@ -10,7 +10,7 @@ from PIL import Image
 from startracker import Attitude, Camera, Observer, Solution, Status, load_catalog
 from startracker.annotation.annotate import annotate, annotated_picture, star_coloured
 from startracker.annotation.sky import compass_arrows, dec_text, grid_lines, nice_step, ra_text
-from startracker.bodies import body_directions
+from startracker.catalog.bodies import body_directions
 from startracker.solution import MatchedStars
 
 

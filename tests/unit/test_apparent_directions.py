@@ -6,10 +6,10 @@ import pytest
 from startracker.catalog import load_catalog
 from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.guide import GuideDatabase
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion, undistort
-from startracker.given_centroids import SAME_STAR_PX, clean_centroids
+from startracker.inputs import SAME_STAR_PX, clean_centroids
 from startracker.observer import Observer, aberrate
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker
 from startracker.catalog.guide import field_cosine
-from startracker.identification.association import MARGIN_PX, Field, matched_again, named
+from startracker.estimation.association import MARGIN_PX, Field, matched_again, named
 
 CAMERA = Camera.from_fov(12.0, 512, 512)
 ATTITUDE = Attitude.from_radec_roll(83.0, -1.0, 20.0)

@@ -17,8 +17,8 @@ from startracker.calibration.procedure import _notes
 from startracker.catalog import load_catalog
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.distortion import Distortion
-from startracker.lens import PARAMETERS, change_lens, is_one_to_one, sensitivity
-from startracker.lens_fit import Matches, stretch
+from startracker.geometry.lens import PARAMETERS, change_lens, is_one_to_one, sensitivity
+from startracker.geometry.lens_fit import Matches, stretch
 
 LENSES = {
     "pinhole": Camera(900.0, 905.0, 520.0, 370.0, 1024, 768, Distortion(k1=-0.2, k2=0.05, k3=-0.01, p1=2e-3, p2=-1e-3)),

@@ -11,7 +11,7 @@ from startracker import Attitude, Camera
 from startracker.calibration.procedure import _projections
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.distortion import Distortion
-from startracker.lens import (
+from startracker.geometry.lens import (
     PARAMETERS,
     change_lens,
     corner_radius,
@@ -21,7 +21,7 @@ from startracker.lens import (
     prior_of,
     value_of,
 )
-from startracker.lens_fit import Matches, fit_jointly, noise_floor, rescaled, significant, stretch, subsets
+from startracker.geometry.lens_fit import Matches, fit_jointly, noise_floor, rescaled, significant, stretch, subsets
 
 LENS = Camera(1000.0, 1020.0, 480.0, 410.0, 1000, 800, Distortion(k1=-0.1, k2=0.02, p1=1e-3, p2=-5e-4))
 FISHEYE = Camera(400.0, 410.0, 480.0, 410.0, 1000, 800, Distortion(k1=0.02, k4=1e-3), projection="fisheye")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from startracker.catalog import StarCatalog, load_catalog, merge_doubles
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.errors import InputError
 
 

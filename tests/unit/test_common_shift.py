@@ -6,8 +6,8 @@ import pytest
 from startracker import Attitude, Camera, StarTracker
 from startracker.centroid.result import Measured
 from startracker.estimation import field_fit
+from startracker.estimation.refine import refine
 from startracker.observer import Observer
-from startracker.refine import refine
 
 AMPLITUDE_PX, SIGMA_PX = 0.1, 0.01
 

@@ -8,8 +8,8 @@ import pytest
 from startracker import Attitude, Camera, StarTracker, estimation
 from startracker.centroid.result import Measured
 from startracker.estimation import plate_constants
+from startracker.estimation.refine import refine
 from startracker.observer import unknown_aberration
-from startracker.refine import refine
 
 CAMERA = Camera.from_fov(12.0, 512, 512)
 TRUTH = Attitude.from_radec_roll(83.0, -1.0, 20.0)

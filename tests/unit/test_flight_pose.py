@@ -15,9 +15,10 @@ from simulator.randomness import stream
 from startracker import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.centroid.result import Measured
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.estimation import field_fit
+from startracker.estimation.refine import refine
 from startracker.fixed_point.c_table import CTable
 from startracker.flight.apparent import FlightObserver
 from startracker.flight.directions import grid_arrays, grid_constants
@@ -26,7 +27,6 @@ from startracker.flight.stars import StarList
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
 from startracker.observer import Observer
-from startracker.refine import refine
 
 pytestmark = pytest.mark.system
 

@@ -29,10 +29,10 @@ from startracker.identification import bayes_factor, clustering_null
 from startracker.identification.bayes_factor import Matched, count_table, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price, log_excess_density
 from startracker.identification.verification import MOST_EXTRA
+from startracker.inputs import SATURATED_SHARE
 from startracker.observer import Observer
 from startracker.settings import DetectionSettings, TriadSettings
 from startracker.solution import Status
-from startracker.survey import SATURATED_SHARE
 from tests.helpers.flight_lists import random_fields, seen_by
 
 pytestmark = pytest.mark.system

@@ -8,8 +8,8 @@ import pytest
 
 from startracker import Attitude, Camera, InputError, Status, solve_unknown_fov
 from startracker.geometry.distortion import Distortion
-from startracker.identification.free_scale import fit_camera
-from startracker.identification.quads import (
+from startracker.identification.unknown_scale.free_scale import fit_camera
+from startracker.identification.unknown_scale.quads import (
     QuadIndex,
     build_quads,
     neighbour_quads,
@@ -17,7 +17,7 @@ from startracker.identification.quads import (
     sky_codes,
     unpack_quads,
 )
-from startracker.identification.whole_sky import all_stars, quad_index
+from startracker.identification.unknown_scale.whole_sky import all_stars, quad_index
 
 
 def stars_of(camera, attitude, count=800):

@@ -14,7 +14,6 @@ from simulator.scenario.fields import keys_of
 from startracker import Attitude, Camera, IdentificationSettings, StarTracker, settings
 from startracker.errors import InputError, InputWarning
 from startracker.identification import METHODS
-from startracker.identification_settings import SETTINGS, AnyIdentificationSettings, settings_of, unread_keys
 from startracker.settings import (
     AdaptiveSettings,
     MatchGroupSettings,
@@ -22,6 +21,7 @@ from startracker.settings import (
     PyramidSettings,
     TriadSettings,
 )
+from startracker.settings.identification import SETTINGS, AnyIdentificationSettings, settings_of, unread_keys
 
 CAMERA = Camera.from_fov(10.0, 512, 512)
 

@@ -16,7 +16,7 @@ from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
-from startracker.given_image import GivenImage
+from startracker.inputs import GivenImage
 from startracker.observer import Observer
 from startracker.settings import CentroidSettings
 from startracker.tracker import StarTracker

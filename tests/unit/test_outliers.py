@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from startracker import Camera
 from startracker.estimation.few_stars import doubt_of_stated_errors, with_doubt
+from startracker.estimation.outliers import MOST_STARS, average, is_suspicious, log_weight, rows_of
 from startracker.estimation.pose import TRUSTED, Linearised, Pose, fit_pose
 from startracker.geometry.image_map import pixel_slopes
-from startracker.outliers import MOST_STARS, average, is_suspicious, log_weight, rows_of
 
 CAMERA = Camera.from_fov(12.0, 1024, 1024)
 SIGMA_PX = 0.02

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import f as f_distribution
 
 from startracker import Attitude, Camera, StarTracker
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.estimation import pose
 from startracker.estimation.few_stars import few_stars_factor

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.adversarial import make
 from startracker import Attitude, Camera, IdentificationSettings, StarTracker, Status, solve_unknown_fov
-from startracker.given_centroids import SAME_STAR_PX, _first_of_each, clean_centroids
 from startracker.identification import METHODS
+from startracker.inputs import SAME_STAR_PX, _first_of_each, clean_centroids
 from startracker.sorting import order_of_columns
 
 CAMERA = Camera.from_fov(10.0, 512, 512)

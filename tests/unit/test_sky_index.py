@@ -10,7 +10,7 @@ from simulator.sky.observer import observe
 from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import sun_position_au
 from startracker.catalog import load_catalog
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD
 from startracker.observer import Observer
 
 SECTION = Sky()

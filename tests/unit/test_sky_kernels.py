@@ -23,7 +23,7 @@ from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import RADIUS_KM, solar_system, sun_position_au
 from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT
 from startracker.catalog import load_catalog
-from startracker.constants import ARCSEC_RAD, AU_KM, SPEED_OF_LIGHT_KM_S
+from startracker.core import ARCSEC_RAD, AU_KM, SPEED_OF_LIGHT_KM_S
 from startracker.observer import aberrate
 
 ROUNDING = 4e-16

@@ -14,7 +14,7 @@ from simulator.mission.clock import Clock
 from simulator.sky.ephemeris import barycentric_position_au
 from simulator.study.body_angles import angle_from_deg
 from simulator.study.trials.stopping import no_interrupt_for_children, stop_on_signal
-from startracker.constants import AU_KM
+from startracker.core import AU_KM
 
 
 def test_the_limb_is_the_radius_of_the_earth_from_its_centre():

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from startracker.arguments import of_kind, pair, real_array, real_number, whole_number
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
 

@@ -16,13 +16,12 @@ import numpy as np
 from simulator.live.stimulator.geometry import DisplayGeometry, with_parity
 from simulator.live.stimulator.patterns import Pattern
 from simulator.live.stimulator.photographs import Dots, Photograph
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.distortion import Distortion
-from startracker.lens import prior_of
-from startracker.lens_fit import noise_floor
+from startracker.geometry.lens import prior_of
+from startracker.geometry.lens_fit import noise_floor
 
 PARAMETERS = ("ln_f", "cx", "cy", "k1", "k2", "tilt_x_deg", "tilt_y_deg")
 _CENTRE_SHARE, _TILT_DEG, _FOCAL_SHARE = 0.05, 3.0, 0.1

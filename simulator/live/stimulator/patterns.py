@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arguments import names_of, real_array, text, whole_number
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 
 COLOURS = ("red", "green", "blue")

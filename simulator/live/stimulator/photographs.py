@@ -11,14 +11,14 @@ from scipy.spatial import cKDTree
 
 from simulator.live.stimulator.patterns import MARKERS, Pattern
 from startracker.arguments import of_kind, real_number, text
-from startracker.arrays import FloatArray, IntArray
 from startracker.centroid import METHODS as CENTROIDERS
+from startracker.core import FloatArray, IntArray
 from startracker.detection import METHODS as DETECTORS
 from startracker.detection.background import as_image
 from startracker.errors import InputError
 from startracker.front_end import Clock, find_stars
 from startracker.geometry.camera import Camera
-from startracker.given_image import GivenImage
+from startracker.inputs import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings
 
 _LEAST_SHARE = 0.6

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.live.stimulator.patterns import COLOURS, TOP_LEVEL
 from startracker.arguments import of_kind, pair, real_array, real_number, whole_number
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.kernels import kernel
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from simulator.live.stimulator.patterns import TOP_LEVEL, Pattern
 from simulator.live.stimulator.photographs import SquareFluxes
 from simulator.live.stimulator.photometry import Curve, Photometry, uniformity_terms
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 _SIGNIFICANT = 1e-3

@@ -16,8 +16,7 @@ from simulator.live.stimulator.geometry import DisplayGeometry
 from simulator.live.stimulator.photometry import DITHERING, Photometry
 from simulator.scene import Scene
 from startracker.arguments import of_kind, real_array, real_number, text, whole_number
-from startracker.arrays import FloatArray, IntArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, camera_attitude
 

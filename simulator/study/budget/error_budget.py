@@ -21,7 +21,7 @@ from simulator.study.specification.outcome import identified
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.arrow import as_array
 from simulator.study.trials.engine import Progress, run_trials
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import BoresightError, InputError
 
 

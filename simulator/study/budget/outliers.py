@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from simulator.study.statistics import CAMERA_AXES
-from startracker.arrays import BoolArray, FloatArray
+from startracker.core import BoolArray, FloatArray
 
 LIMIT_SIGMAS = 8.0
 """Limit in robust standard deviations of the errors with all effects, each relative to the Cramér–Rao bound of its own

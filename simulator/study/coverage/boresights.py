@@ -23,7 +23,7 @@ from simulator.scenario import Scenario
 from simulator.scenario.fields import all_keys
 from simulator.scene import GivenState
 from simulator.study.body_angles import angle_from_deg
-from startracker.arrays import BoolArray, FloatArray
+from startracker.core import BoolArray, FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, direction_to_radec

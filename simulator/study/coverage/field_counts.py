@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.field_shape import FieldShape, field_shape, in_shape
 from startracker.catalog.voxels import VoxelGrid, stars_in_cone
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel
 

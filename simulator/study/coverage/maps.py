@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
 from simulator.study.plots import BLUE, GREEN, GREY, ORANGE, VERMILION, picture
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import direction_to_radec, radec_to_direction
 
 if TYPE_CHECKING:

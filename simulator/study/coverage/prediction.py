@@ -21,11 +21,11 @@ from simulator.study.coverage.field_counts import accumulate_information, outlin
 from simulator.study.coverage.sensitivity import build_sensitivity, nominal_rate_rad_s
 from simulator.study.specification.predicted import Predicted
 from simulator.study.specification.requirements import specification_of
-from startracker.arrays import IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.guide import RESOLVED_PX
 from startracker.catalog.voxels import voxel_grid
+from startracker.core import IntArray
 from startracker.errors import InputError
 
 LEAST_STARS = 2

@@ -32,7 +32,7 @@ from simulator.study.trials.bounds import (
     mean_displacement_e,
     pixel_variance_e2,
 )
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude

@@ -30,13 +30,13 @@ from simulator.study.coverage.prediction import left_out, predict
 from simulator.study.coverage.sensitivity import build_sensitivity
 from simulator.study.specification.verdicts import Judgement, judge
 from startracker._version import __version__
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.field_shape import FieldShape
 from startracker.catalog.guide import RESOLVED_PX
 from startracker.catalog.stars import StarCatalog
 from startracker.catalog.voxels import voxel_grid
+from startracker.core import FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 

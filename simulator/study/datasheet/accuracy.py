@@ -18,8 +18,7 @@ from simulator.study.datasheet.tasks import Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.intervals import ratios_of_rms
 from simulator.study.statistics import CAMERA_AXES
-from startracker.arrays import Columns, FloatArray
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG, Columns, FloatArray
 
 RESAMPLES = 400
 """Bootstrap samples of the percentiles of the temporal noise."""

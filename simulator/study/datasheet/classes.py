@@ -31,7 +31,7 @@ from scipy.signal.windows import dpss
 from simulator.study.datasheet.scan import ScanGeometry
 from simulator.study.datasheet.sheet import Estimate
 from simulator.study.intervals import moment_intervals
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 CLASSES = ("bias", "fov_spatial", "pixel_spatial", "temporal_noise")
 """Classes that a scan separates."""

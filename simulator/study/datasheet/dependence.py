@@ -25,8 +25,7 @@ from simulator.study.datasheet.sheet import (
 from simulator.study.datasheet.tasks import TRIALS_PER_TASK, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.statistics import CAMERA_AXES
-from startracker.arrays import Columns
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG, Columns
 
 TEMPERATURE_STEPS_K = (-20.0, 0.0, 20.0, 40.0)
 """Temperatures of the detector relative to the scenario's."""

@@ -32,7 +32,7 @@ from simulator.study.trials.trial import (
     misidentified,
     solve_frame,
 )
-from startracker.arrays import Columns, FloatArray
+from startracker.core import Columns, FloatArray
 from startracker.geometry.attitude import Attitude, direction_to_radec
 from startracker.solution import Solution
 

@@ -12,8 +12,7 @@ from simulator.build import build_mounting
 from simulator.scenario import Scenario
 from simulator.study.datasheet.sheet import Amounts, Estimate, Quantity, mean_of, proportion, rms_of
 from simulator.study.datasheet.tasks import Task, TaskRunner, trial_tasks
-from startracker.arrays import Columns
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG, Columns
 
 RATES_DEG_S = (0.0, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)
 """Angular rates across the boresight at which errors are stated."""

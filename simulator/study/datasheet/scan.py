@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 
 STEP_PX = (1.184, 0.294)

@@ -11,8 +11,7 @@ from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.scenario import Scenario
 from simulator.study.coverage.survey import Coverage, coverage
 from simulator.study.datasheet.sheet import Amounts, Estimate, Quantity, cross_square_deg2, mean_of, proportion
-from startracker.arrays import Columns
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG, Columns
 
 STARS_NEEDED = (3, 5)
 """Numbers of detectable catalogue stars for which the coverage is stated."""

@@ -26,7 +26,7 @@ from simulator.study.results_folder import scenario_sha256
 from simulator.study.trials.process_pool import STOP_CHECK_S, start_worker
 from simulator.study.trials.stopping import no_interrupt_for_children, stop_on_signal
 from simulator.study.trials.warm_up import warm_up
-from startracker.arrays import Columns
+from startracker.core import Columns
 from startracker.errors import BoresightError
 
 PARTS_FOLDER = ".datasheet-parts"

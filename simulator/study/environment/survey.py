@@ -18,7 +18,7 @@ from simulator.mission.frames import ground_track_deg
 from simulator.mission.trajectory import Trajectory, geocentric
 from simulator.scenario import Scenario
 from startracker._version import __version__
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 

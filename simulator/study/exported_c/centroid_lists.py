@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 NOISE_PX = 0.3
 """Standard deviation of each coordinate."""

@@ -19,7 +19,7 @@ from scipy.optimize import nnls
 
 from simulator.study.exported_c.build import command, write_sources
 from simulator.study.exported_c.instructions import InstructionCounts
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.integer_export import CExport
 

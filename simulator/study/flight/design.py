@@ -11,9 +11,9 @@ from simulator.scenario.schema_sequence import SequenceSection
 from simulator.study.process_noise import process_noise
 from simulator.study.star_tracker import build_tracker
 from startracker.flight.design import DetectorNumbers, FlightDesign
-from startracker.identification_settings import IdentificationSettings
 from startracker.observer import Observer
 from startracker.settings import TrackingSettings
+from startracker.settings.identification import IdentificationSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
 
 _TRIADS = ("triads", "triads_integer")

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from simulator.study.flight.library import NO_PRIOR, FlightLibrary, Known
 from simulator.study.flight.program import ProgramAnswer, velocity_of
 from startracker.arguments import real_array
-from startracker.arrays import FloatArray
 from startracker.catalog.guide import GuideDatabase
+from startracker.core import FloatArray
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS
@@ -23,12 +23,11 @@ from startracker.flight.following import RADIUS_BITS
 from startracker.flight.stars import StarList
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude
-from startracker.given_image import given_image, prior_of
 from startracker.identification.acceptance import power_of_ten
 from startracker.identification.observed import Prior, as_prior
+from startracker.inputs import given_image, prior_of, shape_fault
 from startracker.observer import Observer, observer_of
 from startracker.solution import MatchedStars, Solution, Status
-from startracker.survey import shape_fault
 
 _ONE = 1 << 30
 _SAYS = {

@@ -27,8 +27,8 @@ from simulator.paths import write_atomically
 from simulator.study.exported_c.build import command
 from simulator.study.exported_c.targets import host_compiler
 from simulator.study.flight.program import ProgramAnswer
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.cache import folder
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import assemble, flight_parts

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.study.exported_c.build import Build, compile_export
 from simulator.study.exported_c.targets import HOST, Target
-from startracker.arrays import FloatArray, IntArray
-from startracker.constants import SPEED_OF_LIGHT_KM_S
+from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import flight_export
 from startracker.flight.pose import COVARIANCE_BITS

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from simulator.study.flight.engine import FlightEngine, known_of, prior_numbers, star_list
 from simulator.study.flight.library import NO_PRIOR, Known
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.display import described
 from startracker.flight.following import (
     BEGUN,
@@ -28,8 +28,8 @@ from startracker.flight.following import (
 )
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude
-from startracker.given_image import given_image
 from startracker.identification.observed import as_prior
+from startracker.inputs import given_image
 from startracker.observer import Observer
 from startracker.solution import Solution, Status
 from startracker.tracking import GyroNoise, Innovation, RateNoise, TrackingState

@@ -21,7 +21,7 @@ from simulator.study.sequence.camera import TrackedFrame
 from simulator.study.sequence.time_axis import nearly_all
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import INK, STYLE
-from startracker.arrays import Columns
+from startracker.core import Columns
 from startracker.errors import BoresightError
 
 SIDE_PX = 512

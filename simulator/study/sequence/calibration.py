@@ -12,9 +12,9 @@ from scipy.special import chdtri
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.true_defects import compare_defects
-from startracker.arrays import FloatArray
 from startracker.calibration import InFlightCalibration
-from startracker.lens import value_of
+from startracker.core import FloatArray
+from startracker.geometry.lens import value_of
 from startracker.tracker import StarTracker
 from startracker.tracking import CalibratedSession, GyroNoise, RateNoise
 
@@ -22,7 +22,7 @@ _LISTED_DEFECTS = 200
 
 
 def lens_columns(names: tuple[str, ...]) -> dict[str, tuple[str, float]]:
-    """Name of the column and factor on the value of each parameter of `startracker.lens.PARAMETERS`."""
+    """Name of the column and factor on the value of each parameter of `startracker.geometry.lens.PARAMETERS`."""
     known = {
         "f": ("focal_length_ppm", 1e6),
         "aspect": ("aspect_ppm", 1e6),

@@ -9,7 +9,7 @@ import numpy as np
 
 from simulator.study.sequence.time_axis import draw_defects, time_axis
 from simulator.study.style import BLUE, INK, Panel
-from startracker.arrays import Columns
+from startracker.core import Columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

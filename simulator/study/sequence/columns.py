@@ -12,7 +12,7 @@ from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import AXES, beyond_specification
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS
 from simulator.study.trials.trial import attitude_columns, attitude_errors_deg, mounting_columns
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 
 NO_FRAME = "no_frame"

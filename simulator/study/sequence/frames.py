@@ -19,7 +19,7 @@ from simulator.study.sequence.camera import LEAST_PRIOR_DEG, Moment, SequenceCam
 from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.sequence.true_motion import jitter_at, recorded_states, start_pointing, states_at
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 __all__ = ["LEAST_PRIOR_DEG", "MODES", "NO_FRAME", "SequenceRunner", "TrackedFrame"]
 

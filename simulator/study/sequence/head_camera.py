@@ -21,8 +21,7 @@ from simulator.study.specification.requirements import specification_of
 from simulator.study.trackers import tracker_of
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from simulator.study.trials.trial import in_field, misidentified
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.fusion import Head
 from startracker.geometry.attitude import Attitude
 from startracker.solution import Solution

@@ -22,8 +22,7 @@ from simulator.study.sequence.head_camera import BodyState, HeadCamera, scenario
 from simulator.study.sequence.true_motion import jitter_at, start_pointing, states_at
 from simulator.study.specification.outcome import UNKNOWN, outcome_of
 from simulator.study.specification.requirements import specification_of
-from startracker.arrays import FloatArray
-from startracker.constants import ARCSEC_RAD
+from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.fusion import AlignedMekf, FusionFilter
 from startracker.geometry.attitude import Attitude
 from startracker.kernels import clock

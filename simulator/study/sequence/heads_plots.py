@@ -12,7 +12,7 @@ from simulator.study.sequence.time_axis import draw_strip, nearly_all, time_axis
 from simulator.study.statistics import BODY_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from simulator.study.texts import deg_text
-from startracker.arrays import Columns
+from startracker.core import Columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,7 +16,7 @@ from simulator.mission.tabulated import TabulatedTrajectory
 from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
 from simulator.study.statistics import CAMERA_AXES
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _QUATERNION = ("qx", "qy", "qz", "qw")
 

@@ -19,7 +19,7 @@ from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.sequence.true_defects import compare_defects
 from simulator.study.trackers import Session, Tracker
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.solution import Solution, Status
 from startracker.tracking.operation import SensorOperation, Verdict, image_magnitudes, saturated_near
 

@@ -15,7 +15,7 @@ from simulator.study.sequence.frames import MODES
 from simulator.study.specification.outcome import inconsistency, outcome_counts
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, CAMERA_AXES, axis_statistics
-from startracker.arrays import Columns, FloatArray
+from startracker.core import Columns, FloatArray
 
 
 def summarise_sequence(columns: Columns, step_s: float, judgement: Judgement) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simulator.study.style import BLUE
-from startracker.arrays import BoolArray, Columns, FloatArray
+from startracker.core import BoolArray, Columns, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -25,7 +25,7 @@ from simulator.study.specification.requirements import (
     specification_of,
 )
 from simulator.study.specification.verdicts import Estimate, Judgement, judge
-from startracker.arrays import BoolArray, FloatArray
+from startracker.core import BoolArray, FloatArray
 from startracker.geometry.attitude import radec_to_direction
 
 Columns = Mapping[str, NDArray[Any]]

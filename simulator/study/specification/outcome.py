@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from simulator.study.intervals import wilson_interval
 from simulator.study.specification.requirements import Specification
 from simulator.study.texts import deg_text
-from startracker.arrays import BoolArray
+from startracker.core import BoolArray
 
 INCONSISTENT_NEES = 31.812
 """Normalised error squared beyond which an attitude contradicts its stated covariance: χ² of 3 degrees of freedom

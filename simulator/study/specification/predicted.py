@@ -17,7 +17,7 @@ from scipy.special import erf
 from simulator.study.specification.measured import RATE_BAND, untested_rate
 from simulator.study.specification.requirements import AVAILABILITY, Requirement, Specification
 from simulator.study.specification.verdicts import Estimate
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 _BODY_AXES = ("roll", "pitch", "yaw")
 _CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")

@@ -16,7 +16,7 @@ from simulator.study.style import BLUE, SOFT, Panel
 from simulator.study.sweep.compare import ComparedRun, Comparison
 from simulator.study.sweep.texts import number_text, rate_text, rms_text, value_text
 from simulator.study.texts import axis_name
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

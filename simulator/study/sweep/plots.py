@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simulator.study.plots import TITLES, picture, save_bytes
 from simulator.study.statistics import AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
-from startracker.constants import ARCSEC_PER_DEG
+from startracker.core import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

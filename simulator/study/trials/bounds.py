@@ -24,7 +24,7 @@ from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_each_star
 from simulator.renderer import Renderer
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import pixel_slopes as slopes_of_pixels
 from startracker.kernels import kernel, kernel_part

@@ -15,7 +15,7 @@ from simulator.study.specification.outcome import CENTROIDS, DISPLACED, NO_OUTCO
 from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources, pixel_slopes
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.solution import Solution
 
 _EXPLAINED = 0.25

@@ -13,8 +13,8 @@ from simulator.optics.psf import SIGMA_PER_RING
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
 from startracker.centroid.bias import moment_bias
+from startracker.core import FloatArray
 
 FIRST_DARK_RING, SECOND_DARK_RING = airy.FIRST_RING * np.pi, 7.015586669815619
 """First zeros of J₁: 3.8317 and 7.0156."""

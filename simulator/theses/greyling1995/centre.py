@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
 from simulator.theses.greyling1995.star_images import Path, star_stamps
-from startracker.arrays import FloatArray, IntArray
 from startracker.centroid.bias import moment_bias
+from startracker.core import FloatArray, IntArray
 
 LISTING_SIGMA, LISTING_SEED, LISTING_PEAK = 1.325, 5, 10.0
 LISTING_OFFSETS: FloatArray = np.arange(51.0) * 0.01

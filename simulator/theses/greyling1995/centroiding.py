@@ -19,8 +19,8 @@ from simulator.theses.greyling1995.star_images import (
 )
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
 from startracker.centroid.bias import moment_bias
+from startracker.core import FloatArray
 
 TABLE_4_1 = (
     "0", "0.010284", "0.020604", "0.030994", "0.041490", "0.052125", "0.062934", "0.073949", "0.085203", "0.096728",

@@ -25,10 +25,10 @@ from simulator.randomness import stream
 from simulator.scenario import Scenario
 from simulator.theses.greyling1995.sequencer import COLUMNS, COUNTS_PER_LINE, LINES, SERIAL_CLOCK_HZ
 from startracker import centroid, detection
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import GivenImage
+from startracker.inputs import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings
 
 

@@ -20,8 +20,8 @@ from simulator.theses.figures import draw, section_of
 from simulator.theses.greyling1995.path import DECLINATION_DEG
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
+from startracker.core import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import IntArray
 from startracker.catalog import StarCatalog, load_catalog
 from startracker.catalog.guide import RESOLVED_PX
+from startracker.core import IntArray
 from startracker.geometry.attitude import radec_to_direction
 
 BORESIGHT_DEC_DEG = 8.6

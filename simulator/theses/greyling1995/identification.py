@@ -20,9 +20,9 @@ from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.guide_stars import BORESIGHT_DEC_DEG, FIELD_DEG, SIDE_PX, map_lines
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
+from startracker.core import IntArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification import match_groups

@@ -20,7 +20,7 @@ from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.starlight import SATURATION_MV, VOLT_PER_E
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 SIGNAL_E, DARK_E, DSNU_E, READOUT_F, ROOM_C = 1e6, 100.0, 100.0, 0.08e-12, 25.0
 """Conditions of the budget: signal, dark signal, its non-uniformity, electrons; readout capacitance; temperature."""

@@ -21,8 +21,8 @@ from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
 from startracker.catalog import load_catalog
+from startracker.core import FloatArray
 from startracker.geometry.attitude import direction_to_radec
 
 EQUINOX = datetime(1995, 3, 21, 2, 14, tzinfo=UTC)

@@ -26,8 +26,8 @@ from simulator.theses.greyling1995.starlight import (
 )
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
 from startracker.catalog import load_catalog
+from startracker.core import FloatArray
 
 ZERO_LUX = -13.94188
 """m₀ of (3.6): m_v = −2.5 log F + m₀, F in lux."""

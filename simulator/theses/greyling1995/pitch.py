@@ -11,7 +11,7 @@ from simulator.randomness import stream
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.star_pair import pitch_error_deg, star_pair
 
 ACCURACY_DEG = 0.002

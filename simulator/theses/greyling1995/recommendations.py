@@ -20,11 +20,11 @@ from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
 from simulator.theses.greyling1995.star_images import star_stamps
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.centroid import Centroids
+from startracker.core import FloatArray, IntArray
 from startracker.detection import Background, Spots, estimate, find_round_regions
 from startracker.estimation import METHODS as ESTIMATORS
 from startracker.geometry.attitude import Attitude

@@ -17,8 +17,7 @@ from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
-from startracker.constants import AU_KM
+from startracker.core import AU_KM, FloatArray
 from startracker.detection import Background, Spots, estimate, grow_regions
 from startracker.detection.region_growing import grow_objects
 from startracker.settings import DetectionSettings

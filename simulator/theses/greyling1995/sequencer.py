@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 
 LINES = 165

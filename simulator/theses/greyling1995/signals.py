@@ -17,7 +17,7 @@ from simulator.theses.greyling1995.sequencer import (
     next_state,
 )
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 CONTROL = {0x300: "Camera", 0x302: "PC", 0x304: "Reset", 0x306: "Go"}
 """Table 6.1: bus addresses and the effect of a write to them."""

@@ -13,14 +13,14 @@ from simulator.optics.smear import exposure_nodes
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
 from simulator.theses.greyling1995.blur import OFFSETS, THESIS_SIGMA
-from startracker.arrays import FloatArray
 from startracker.centroid import METHODS
 from startracker.centroid.bias import moment_bias
 from startracker.centroid.window import Pixels, read_window
+from startracker.core import FloatArray
 from startracker.detection import find_components
 from startracker.detection.plane import as_plane
 from startracker.front_end import Clock, find_stars
-from startracker.given_image import GivenImage
+from startracker.inputs import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings
 
 _HALF = 2

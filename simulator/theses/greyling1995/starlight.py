@@ -18,7 +18,7 @@ from simulator.sky.library import HC_J_NM
 from simulator.sky.photometry import Photometer
 from simulator.sky.spectra import colour_sequence
 from simulator.theses.tables import Values
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 
 BANDS_UM = np.array([0.44, 0.55, 0.64, 0.79, 1.25])
 IRRADIANCE_W_CM2_UM = np.array([6.6, 3.6, 2.25, 1.22, 0.292]) * 1e-12

@@ -9,8 +9,8 @@ from importlib.resources import files
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog import load_catalog
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
 from startracker.identification.triad_tables import TriadTables

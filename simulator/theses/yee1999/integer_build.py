@@ -25,7 +25,7 @@ from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.integers import fixed_centroids
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Picture, vega
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.attitude import IntegerAttitude, NotSolved, plate_attitude

@@ -17,7 +17,7 @@ from simulator.theses.printed import Row, Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, merged_name, sadr, vega
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.fixed_point.centroid import running_centroid
 from startracker.fixed_point.formats import CENTROID, SEPARATION

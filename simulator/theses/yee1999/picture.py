@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from simulator.theses.yee1999.catalogue import SubCatalog, printed_rows, sub_catalog
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.estimation.plate import Plate, solve_plate
 from startracker.identification.arithmetic import Arithmetic

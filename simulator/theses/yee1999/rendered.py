@@ -21,7 +21,7 @@ from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, VEGA_FOV_DEG, Analysis, Options, Picture, analyse, centred
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.detection import estimate, find_clusters
 from startracker.geometry.attitude import Attitude, radec_to_direction
 from startracker.identification.triad_search import TriadLimits

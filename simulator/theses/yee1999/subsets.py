@@ -20,7 +20,7 @@ from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Analysis, analyse, vega
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.estimation.plate import solve_plate
 

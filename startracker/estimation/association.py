@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.voxels import VoxelGrid, stars_on_image
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.geometry.image_map import ImageMap, to_pixels
 from startracker.geometry.linalg import transform

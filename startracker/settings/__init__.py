@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from startracker.arguments import ABOVE_0, names_of
 from startracker.display import changed_fields
 from startracker.errors import InputError
-from startracker.identification_settings import (
+from startracker.settings.checks import BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
+from startracker.settings.identification import (
     AdaptiveSettings,
     AnyIdentificationSettings,
     IdentificationSettings,
@@ -21,7 +22,6 @@ from startracker.identification_settings import (
     PyramidSettings,
     TriadSettings,
 )
-from startracker.setting_checks import BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
 __all__ = [
     "AdaptiveSettings",
@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 _LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
-"""Those of `startracker.lens.PARAMETERS`, of every projection."""
+"""Those of `startracker.geometry.lens.PARAMETERS`, of every projection."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,21 @@
-"""Constants of the tracker: value, unit and source side by side."""
+"""Types of arrays, and constants of physics and units."""
+
+from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+Int32Array = NDArray[np.int32]
+BoolArray = NDArray[np.bool_]
+Columns = dict[str, NDArray[Any]]
+"""Columns of a table by name, one value per row."""
+
 
 SPEED_OF_LIGHT_KM_S = 299_792.458
 """Exact by the SI definition of the metre."""

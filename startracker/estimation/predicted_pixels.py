@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
+from startracker.core import FloatArray, IntArray
 from startracker.geometry.image_map import CX, CY, HEIGHT, ImageMap, pixel_slopes, to_pixels
 from startracker.geometry.linalg import cross
 from startracker.kernels import kernel

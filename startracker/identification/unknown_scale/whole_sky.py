@@ -11,7 +11,7 @@ from startracker.catalog import cache, load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.geometry.camera import Camera
-from startracker.identification.quads import QuadIndex, build_quads, pack_quads, unpack_quads
+from startracker.identification.unknown_scale.quads import QuadIndex, build_quads, pack_quads, unpack_quads
 
 _MAGNITUDE_LIMIT = 9.0
 _REFERENCE = Camera.from_fov(4.0, 1024, 1024)  # the finest: doubles closer than 28″ are one

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.arrays import FloatArray, IntArray
-from startracker.constants import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEED_OF_LIGHT_KM_S
+from startracker.core import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
@@ -37,7 +36,7 @@ _STEP_DAYS = 0.5
 _TABLE_DAYS = 366.0
 _LIGHT_DAY_AU = SPEED_OF_LIGHT_KM_S * 86_400.0 / AU_KM
 _BODY_PX = 3.0
-"""Maximum distance of a planet's centroid from its prediction, as of a star's (`startracker.refine.NAMED_PX`)."""
+"""Maximum distance of a planet's centroid from its prediction, as of a star's (`startracker.estimation.refine.NAMED_PX`)."""
 _RADIUS_RAD = {"Sun": math.radians(0.28), "Moon": math.radians(0.29)}
 _PLANET_RAD = math.radians(33.0 / 3600.0)
 """Largest apparent radii from near the Earth; Venus has the largest of the planets."""

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from startracker.arrays import FloatArray, IntArray
 from startracker.catalog.guide import brightest_everywhere
+from startracker.core import FloatArray, IntArray
 
 NEIGHBOURS = 6
 STARS_IN_CIRCLE = 10

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
 

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.estimation.pose import Linearised, Pose, displacements
 
 MOST_STARS = 12

@@ -16,7 +16,7 @@ from typing import Any, Self
 from startracker.arguments import ABOVE_0, of_kind, text
 from startracker.display import changed_fields
 from startracker.errors import InputError
-from startracker.setting_checks import BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
+from startracker.settings.checks import BELOW_1, COUNT, FORBID, FROM_0, POSITIVE, check_settings
 
 _LIMITS: dict[str, tuple[float, float]] = {
     "min_stars": (2, math.inf),

@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.arrays import BoolArray, FloatArray, IntArray
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.voxels import stars_on_image
 from startracker.centroid.result import Measured
+from startracker.core import BoolArray, FloatArray, IntArray
+from startracker.estimation.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
 from startracker.estimation.few_stars import of_unknown_errors, with_doubt
 from startracker.estimation.field_fit import Estimator, FieldFit, takes_field
@@ -25,15 +26,14 @@ from startracker.estimation.image_errors import (
     rotation_of_shift,
     shared_shift,
 )
+from startracker.estimation.outliers import FEWEST_STARS, MOST_STARS, average, is_suspicious, log_weight, rows_of
 from startracker.estimation.pose import TRUSTED, Linearised, Pose, displacements, fit_pose
+from startracker.estimation.predicted_pixels import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import CX, WIDTH
 from startracker.geometry.linalg import solve, turned
-from startracker.identification.association import MARGIN_PX, Field, joined, matched_again, named
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
-from startracker.outliers import FEWEST_STARS, MOST_STARS, average, is_suspicious, log_weight, rows_of
-from startracker.seen_stars import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.sorting import median
 
 _FEWEST_TO_REJECT = 4
@@ -252,7 +252,7 @@ class _Field(NamedTuple):
         return fit
 
     def _averaged(self, fit: _Fit, stars: IntArray) -> _Fit:
-        """Average over hypotheses of which of few stars (M, 2) are displaced (`startracker.outliers`)."""
+        """Average over hypotheses of which of few stars (M, 2) are displaced (`startracker.estimation.outliers`)."""
         given, xy = self._linearised(stars, fit.matrix, fit.measured), fit.measured[stars[:, 0]]
 
         def fitted(rows: IntArray) -> Pose:

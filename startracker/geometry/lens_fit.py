@@ -1,8 +1,8 @@
 """Joint fit of a camera and the attitudes of its images, by weighted least squares on pixel positions.
 
-Unknowns: the camera's parameters (`startracker.lens.PARAMETERS`), a rotation vector per image and, optionally, two
+Unknowns: the camera's parameters (`startracker.geometry.lens.PARAMETERS`), a rotation vector per image and, optionally, two
 parameters per image for differential atmospheric refraction. Gauss–Newton with analytic derivatives and step halving;
-weak priors (`startracker.lens.prior_of`) are additional observations.
+weak priors (`startracker.geometry.lens.prior_of`) are additional observations.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from startracker.arrays import FloatArray
+from startracker.core import FloatArray
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
-from startracker.lens import by_turn, change_lens, is_one_to_one, prior_of, sensitivity, value_of
+from startracker.geometry.lens import by_turn, change_lens, is_one_to_one, prior_of, sensitivity, value_of
 
 _TOGETHER = (("cx", "cy"), ("aspect",), ("p1", "p2"))
 """Parameters that are included or excluded together; radial ones are excluded from the highest power down."""
@@ -102,7 +102,7 @@ def fit_jointly(
     matches : list of Matches
         One per image.
     names : tuple of str
-        Free parameters, of `startracker.lens.PARAMETERS`; the others are those of `camera`.
+        Free parameters, of `startracker.geometry.lens.PARAMETERS`; the others are those of `camera`.
     with_refraction : bool
         Whether each image has its own stretch.
     enough : float

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from startracker.arrays import FloatArray, IntArray
-from startracker.bodies import NO_BODIES, SeenBodies, seen_bodies
+from startracker.catalog.bodies import NO_BODIES, SeenBodies, seen_bodies
 from startracker.catalog.guide import GuideDatabase
 from startracker.centroid.result import Measured
+from startracker.core import FloatArray, IntArray
 from startracker.estimation import Estimator
+from startracker.estimation.refine import Refined, refine
 from startracker.geometry.camera import Camera
 from startracker.observer import Observer
-from startracker.refine import Refined, refine
 
 STATED_PX = 0.15
 """Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
@@ -43,7 +43,7 @@ def refine_stars(
     Parameters
     ----------
     pairs, stars, camera, guide, estimator, observer
-        As in `startracker.refine.refine`.
+        As in `startracker.estimation.refine.refine`.
     directions : (N, 3), optional
         Directions of the centroids in the camera frame; None: the focal length is fitted.
     """

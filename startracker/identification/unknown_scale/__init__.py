@@ -1,0 +1,1 @@
+"""Identification without a known focal length: pairs of pairs of stars, and fits that leave the scale free."""
