@@ -12,8 +12,8 @@ from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray, IntArray
 from startracker.display import described
+from startracker.estimation.association import nearest_unique
 from startracker.geometry.camera import Camera
-from startracker.identification.verification import nearest_unique
 from startracker.observer import Observer, aberrate
 
 _RESOLVED_PX = 2.0

@@ -1,8 +1,8 @@
 """Recursive estimate of the lens from the stars of successive frames: a Kalman filter in information form.
 
-The parameters p of the lens (`startracker.geometry.lens.PARAMETERS`) are random walks with the drift q (per √s). The stars of a
-frame are measured at x = h(p, θ) + e; the attitude θ of the frame, and the rate of a rolling shutter, are unknown and
-marginalised: with the Jacobians H of p and B of θ, weights W and residuals r, the frame contributes
+The parameters p of the lens (`startracker.geometry.lens.PARAMETERS`) are random walks with the drift q (per √s). The
+stars of a frame are measured at x = h(p, θ) + e; the attitude θ of the frame, and the rate of a rolling shutter, are
+unknown and marginalised: with the Jacobians H of p and B of θ, weights W and residuals r, the frame contributes
 
     I = Hᵀ W H − Hᵀ W B (Bᵀ W B)⁻¹ Bᵀ W H   (information)
     b = Hᵀ W r − Hᵀ W B (Bᵀ W B)⁻¹ Bᵀ W r

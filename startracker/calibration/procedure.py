@@ -1,9 +1,9 @@
 """A camera from photographs of the sky: identify, match all stars, fit all images jointly, keep significant terms.
 
 1. Each image is identified with the focal length free (`startracker.blind`).
-2. Camera and attitudes are fitted to the matched stars of all images (`startracker.geometry.lens_fit`). Principal point, aspect,
-radial and tangential terms are selected by the Bayesian information criterion (Schwarz 1978) over all combinations: a
-term must reduce χ² by more than ln(number of observations) per coefficient.
+2. Camera and attitudes are fitted to the matched stars of all images (`startracker.geometry.lens_fit`). Principal
+point, aspect, radial and tangential terms are selected by the Bayesian information criterion (Schwarz 1978) over all
+combinations: a term must reduce χ² by more than ln(number of observations) per coefficient.
 3. All catalogue stars are projected and matched again within 3.7 robust standard errors, until convergence.
 4. A smooth distortion that the lens model does not describe displaces the parameters. Its size is estimated from the
 residuals, and its effect is part of the covariance (`startracker.calibration.residual_field`).
@@ -85,8 +85,8 @@ def calibrate(
         Whether the images were taken through the atmosphere: a stretch of each field is fitted, which is not part of
         the camera. Without it, the aspect of a camera that is always level includes it.
     parameters : sequence of str, optional
-        Parameters to fit, of `startracker.geometry.lens.PARAMETERS`, instead of the selection by significance; the focal length
-        is always fitted.
+        Parameters to fit, of `startracker.geometry.lens.PARAMETERS`, instead of the selection by significance; the
+        focal length is always fitted.
 
     Returns
     -------

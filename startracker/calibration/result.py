@@ -62,8 +62,8 @@ class Calibration:
     ----------
     camera : Camera
     names : tuple of str
-        Fitted parameters, of `startracker.geometry.lens.PARAMETERS`; the others were not significant and have their values of
-        `startracker.geometry.lens.plain`.
+        Fitted parameters, of `startracker.geometry.lens.PARAMETERS`; the others were not significant and have their
+        values of `startracker.geometry.lens.plain`.
     covariance : (P, P)
         Covariance of these, with errors scaled by √(χ²/ν) and the effect of the distortion `field_px`.
     fields : tuple of CalibratedField

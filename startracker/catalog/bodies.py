@@ -36,7 +36,8 @@ _STEP_DAYS = 0.5
 _TABLE_DAYS = 366.0
 _LIGHT_DAY_AU = SPEED_OF_LIGHT_KM_S * 86_400.0 / AU_KM
 _BODY_PX = 3.0
-"""Maximum distance of a planet's centroid from its prediction, as of a star's (`startracker.estimation.refine.NAMED_PX`)."""
+"""Maximum distance of a planet's centroid from its prediction; that of a star is the same
+(`startracker.estimation.refine.NAMED_PX`)."""
 _RADIUS_RAD = {"Sun": math.radians(0.28), "Moon": math.radians(0.29)}
 _PLANET_RAD = math.radians(33.0 / 3600.0)
 """Largest apparent radii from near the Earth; Venus has the largest of the planets."""

@@ -12,7 +12,6 @@ from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.geometry.image_map import ImageMap, to_pixels
 from startracker.geometry.linalg import transform
-from startracker.identification.verification import nearest_unique
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
@@ -22,6 +21,50 @@ MARGIN_PX = 3.0
 """Guide stars up to this far outside the image may have a centroid on it."""
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _MANY, _LEAST_SCALE = 10, 0.4
+
+
+@kernel
+def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Nearest candidate (K, D) of each point (N, D) within its gate (N,), each candidate used once.
+
+    If two points claim one candidate, the one nearer in units of its gate keeps it.
+
+    Returns
+    -------
+    index, distance : (N,)
+        −1 and inf where there is none.
+    """
+    index, distance = np.empty(len(points), np.int64), np.empty(len(points))
+    owner, across = np.empty(len(candidates), np.int64), np.empty((2, len(candidates)))
+    for j in range(len(candidates)):  # coordinate by coordinate, for several candidates at a time
+        owner[j], across[0, j], across[1, j] = -1, candidates[j, 0], candidates[j, 1]
+    for i in range(len(points)):
+        index[i], distance[i] = -1, np.inf
+        best, at = gate[i] ** 2, -1
+        x, y = points[i, 0], points[i, 1]
+        near = 0
+        for j in range(len(candidates)):
+            near += (across[0, j] - x) ** 2 + (across[1, j] - y) ** 2 <= best
+        if near == 0:
+            continue
+        for j in range(len(candidates)):
+            d2 = (across[0, j] - x) ** 2
+            if d2 > best:
+                continue
+            d2 += (across[1, j] - y) ** 2
+            for axis in range(2, points.shape[1]):
+                d2 += (candidates[j, axis] - points[i, axis]) ** 2
+            if d2 <= best:
+                best, at = d2, j
+        if at < 0:
+            continue
+        away, rival = math.sqrt(best), owner[at]
+        if rival >= 0:
+            if distance[rival] / gate[rival] <= away / gate[i]:
+                continue
+            index[rival], distance[rival] = -1, np.inf
+        owner[at], index[i], distance[i] = i, at, away
+    return index, distance
 
 
 class Field(NamedTuple):

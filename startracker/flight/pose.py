@@ -1,9 +1,9 @@
 """Attitude and covariance of a frame from its identified stars, in integers.
 
-The steps are those of `startracker.estimation.refine`: all stars of the list that agree with guide stars of the field are matched
-again with the attitude of the identified ones, with gates from the median of the residuals; then the fit of `pose_fit`
-estimates the actual errors, and its gates select the stars of the next fit, until they no longer change. Residuals are
-measured in pixels of the image, through the derivatives of the grid table.
+The steps are those of `startracker.estimation.refine`: all stars of the list that agree with guide stars of the field
+are matched again with the attitude of the identified ones, with gates from the median of the residuals; then the fit of
+`pose_fit` estimates the actual errors, and its gates select the stars of the next fit, until they no longer change.
+Residuals are measured in pixels of the image, through the derivatives of the grid table.
 
 The C source (`c/tracker_pose.c`) performs the same operations in the same order.
 """

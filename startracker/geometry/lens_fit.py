@@ -1,8 +1,8 @@
 """Joint fit of a camera and the attitudes of its images, by weighted least squares on pixel positions.
 
-Unknowns: the camera's parameters (`startracker.geometry.lens.PARAMETERS`), a rotation vector per image and, optionally, two
-parameters per image for differential atmospheric refraction. Gauss–Newton with analytic derivatives and step halving;
-weak priors (`startracker.geometry.lens.prior_of`) are additional observations.
+Unknowns: the camera's parameters (`startracker.geometry.lens.PARAMETERS`), a rotation vector per image and, optionally,
+two parameters per image for differential atmospheric refraction. Gauss–Newton with analytic derivatives and step
+halving; weak priors (`startracker.geometry.lens.prior_of`) are additional observations.
 """
 
 from __future__ import annotations

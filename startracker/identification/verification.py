@@ -11,12 +11,13 @@ from startracker.catalog.field_shape import in_shape
 from startracker.catalog.sky_view import SkyView
 from startracker.catalog.voxels import stars_in_cone
 from startracker.core import FloatArray, IntArray
+from startracker.estimation.association import nearest_unique
 from startracker.estimation.directions import normal_equations
 from startracker.geometry.linalg import rotate_back, solve, transform, turned
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
-from startracker.kernels import kernel, kernel_part
+from startracker.kernels import kernel_part
 from startracker.sorting import sort
 
 GATE_SIGMAS = 4.5
@@ -51,50 +52,6 @@ def is_known(matrix: FloatArray, known: FloatArray, least_cosine: float) -> bool
     for m in range(len(known)):
         closest = max(closest, rotation_cosine(matrix, known[m]))
     return closest > least_cosine
-
-
-@kernel
-def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Nearest candidate (K, D) of each point (N, D) within its gate (N,), each candidate used once.
-
-    If two points claim one candidate, the one nearer in units of its gate keeps it.
-
-    Returns
-    -------
-    index, distance : (N,)
-        −1 and inf where there is none.
-    """
-    index, distance = np.empty(len(points), np.int64), np.empty(len(points))
-    owner, across = np.empty(len(candidates), np.int64), np.empty((2, len(candidates)))
-    for j in range(len(candidates)):  # coordinate by coordinate, for several candidates at a time
-        owner[j], across[0, j], across[1, j] = -1, candidates[j, 0], candidates[j, 1]
-    for i in range(len(points)):
-        index[i], distance[i] = -1, np.inf
-        best, at = gate[i] ** 2, -1
-        x, y = points[i, 0], points[i, 1]
-        near = 0
-        for j in range(len(candidates)):
-            near += (across[0, j] - x) ** 2 + (across[1, j] - y) ** 2 <= best
-        if near == 0:
-            continue
-        for j in range(len(candidates)):
-            d2 = (across[0, j] - x) ** 2
-            if d2 > best:
-                continue
-            d2 += (across[1, j] - y) ** 2
-            for axis in range(2, points.shape[1]):
-                d2 += (candidates[j, axis] - points[i, axis]) ** 2
-            if d2 <= best:
-                best, at = d2, j
-        if at < 0:
-            continue
-        away, rival = math.sqrt(best), owner[at]
-        if rival >= 0:
-            if distance[rival] / gate[rival] <= away / gate[i]:
-                continue
-            index[rival], distance[rival] = -1, np.inf
-        owner[at], index[i], distance[i] = i, at, away
-    return index, distance
 
 
 class Verified(NamedTuple):

@@ -8,6 +8,7 @@ import pytest
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
+from startracker.estimation.association import nearest_unique
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
@@ -22,7 +23,6 @@ from startracker.identification.match_kernels import (
     validate,
 )
 from startracker.identification.pairs import observed_pairs, pair_tolerance, separation, windows
-from startracker.identification.verification import nearest_unique
 from startracker.settings import MatchGroupSettings
 from startracker.solution import Status
 

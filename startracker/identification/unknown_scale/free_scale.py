@@ -24,6 +24,7 @@ import numpy as np
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.core import FloatArray, IntArray
+from startracker.estimation.association import nearest_unique
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
@@ -31,7 +32,6 @@ from startracker.geometry.lens import change_lens, is_one_to_one
 from startracker.geometry.lens_fit import Matches, image_equations
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.unknown_scale.quads import QuadIndex, neighbour_quads, sky_codes
-from startracker.identification.verification import nearest_unique
 
 WIDTHS_PX = (0.3, 1.0, 3.0)
 """Standard errors tried on the residuals that are left after the fit."""

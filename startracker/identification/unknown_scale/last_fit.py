@@ -9,13 +9,13 @@ import numpy as np
 from startracker.catalog.guide import GuideDatabase
 from startracker.core import FloatArray
 from startracker.estimation import Estimator
+from startracker.estimation.association import nearest_unique
 from startracker.estimation.few_stars import few_stars_factor
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.estimation.wahba import attitude_covariance
 from startracker.geometry.lens import PARAMETERS, only
 from startracker.geometry.lens_fit import Matches, fit_jointly, noise_floor, significant
 from startracker.identification.unknown_scale.free_scale import FEWEST_FOR_K1, FreeFit
-from startracker.identification.verification import nearest_unique
 
 _REJECT_SIGMAS = 3.7
 """A residual's length beyond this many standard errors an axis has probability 1e-3 (Rayleigh)."""
@@ -33,8 +33,8 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
     """Fit with every star of the field, weighed by its own error, and every lens parameter that is significant; and
     the covariance for errors that are known from the residuals alone (`startracker.estimation.few_stars`).
 
-    The same rule of rejection as with a known camera (`startracker.estimation.refine`); what was accepted stays where this
-    leaves much fewer stars.
+    The same rule of rejection as with a known camera (`startracker.estimation.refine`); what was accepted stays where
+    this leaves much fewer stars.
 
     Parameters
     ----------
