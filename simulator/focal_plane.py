@@ -37,11 +37,10 @@ from simulator.optics.stray_light import Baffle, stray_light_e_s_pixel
 from simulator.optics.tether import Tether, TetherPoints, tether_points
 from simulator.optics.thermal import LensTemperature
 from simulator.scene import Scene
-from simulator.sky.apparent import largest_shift_rad
+from simulator.sky.apparent import aberrated, largest_shift_rad
 from simulator.sky.background import diffuse_sky_s10
 from simulator.sky.earth import stray_sources, unhidden
 from simulator.sky.faint_stars import FaintSky
-from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer

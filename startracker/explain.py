@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from startracker.centroid.result import Centroids
 from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.detection.background import Background
-from startracker.detection.plane import sample_plane
 from startracker.detection.spots import Spots
+from startracker.detection.tiles import sample_plane
 from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings
 from startracker.solution import Solution, Status

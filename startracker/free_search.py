@@ -20,7 +20,7 @@ from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.unknown_scale import free_scale
 from startracker.identification.unknown_scale.free_scale import FreeFit
 from startracker.identification.unknown_scale.last_fit import estimated, last_fit
-from startracker.identification.unknown_scale.whole_sky import all_stars, brightest_stars, quad_index
+from startracker.identification.unknown_scale.quads import all_stars, brightest_stars, quad_index
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.settings import IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status

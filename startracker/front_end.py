@@ -13,12 +13,11 @@ from startracker.centroid import Centroider
 from startracker.centroid.result import Centroids, Measured
 from startracker.core import FloatArray
 from startracker.detection import Background, Detector, estimate
+from startracker.detection.artefacts import fill_gaps, has_crowd, mask_impulses
+from startracker.detection.background import Light, follow_structure, has_structure
 from startracker.detection.components import find_trailed
-from startracker.detection.defects import fill_gaps, has_crowd, mask_impulses
-from startracker.detection.light import Light
-from startracker.detection.motion import motion_at
+from startracker.detection.forms import motion_at
 from startracker.detection.spots import Spots
-from startracker.detection.structure import follow_structure, has_structure
 from startracker.detection.trailed import trails_win
 from startracker.detection.values import Image
 from startracker.errors import InputError

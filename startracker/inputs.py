@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from startracker.arguments import real_array, real_number, switch
 from startracker.core import FloatArray, IntArray
-from startracker.detection.defects import mask_extremes
+from startracker.detection.artefacts import mask_extremes
 from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.display import fields_repr
 from startracker.errors import InputError

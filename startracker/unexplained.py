@@ -9,7 +9,7 @@ scale or the roll hang on a knot of stars, or the image is not one field. The ev
 
 Of an image more is known than its list of stars: where it stands out from its background a guide star is there, even if
 the detector rejected it with what it lies on, as a ridge of an aurora. Few matched stars are then enough if most bright
-guide stars are there (`startracker.detection.light`).
+guide stars are there (`startracker.detection.background`).
 
 The matched fraction is at least 0.5 on one of both sides in real fields, and below 0.4 on both it is refused.
 Moreover, on one side of a line across the image, or outside a circle about the matched stars, fewer are matched than
@@ -32,9 +32,9 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase, field_cosine
-from startracker.catalog.voxels import stars_on_image
+from startracker.catalog.sky_view import stars_on_image
 from startracker.core import BoolArray, FloatArray, IntArray
-from startracker.detection.light import Light
+from startracker.detection.background import Light
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import order_of_columns

@@ -277,7 +277,7 @@ AREAS = {
     "attitude": Area(
         (
             "startracker/refine*.py",
-            "startracker/estimation/predicted_pixels.py",
+            "startracker/estimation/association.py",
             "startracker/whole_field.py",
             "startracker/estimation/*.py",
             "startracker/field_solution.py",

@@ -16,8 +16,8 @@ from simulator.paths import write_atomically
 from startracker import centroid as centroiding
 from startracker import detection as detecting
 from startracker.calibration import StarField, calibrate
-from startracker.calibration.camera_file import camera_yaml, summary
 from startracker.calibration.plot import residual_picture
+from startracker.calibration.result import camera_yaml, summary
 from startracker.errors import BoresightError, InputError
 from startracker.front_end import Clock, find_stars
 from startracker.geometry.camera import Camera

@@ -29,8 +29,8 @@ from simulator.mission.element_files import is_called
 from simulator.mission.element_list import ElementList
 from simulator.mission.trajectory import States
 from simulator.optics.bodies import share_before_limb
+from simulator.sky.apparent import aberrated
 from simulator.sky.earth import has_disk, limbs
-from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import SatelliteParameters, Sky
 from simulator.sky.solar_system import RADIUS_KM

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.constants import EARTH_RADIUS_KM
+from simulator.sky.apparent import aberrated
 from simulator.sky.ephemeris import barycentric_position_au, sky_time
-from simulator.sky.light import aberrated
 from simulator.sky.magnitudes import moon_v, planet_v, sun_v
 from startracker.core import AU_KM, FloatArray
 from startracker.display import fields_repr

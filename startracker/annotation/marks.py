@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 from startracker.annotation.labels import Label, Labels
 from startracker.annotation.sky import grid_lines, polyline
 from startracker.catalog.bodies import body_directions
-from startracker.catalog.deep_sky import deep_sky_directions, deep_sky_objects
-from startracker.catalog.names import constellation_lines, designation, proper_name
+from startracker.catalog.names import (
+    constellation_lines,
+    deep_sky_directions,
+    deep_sky_objects,
+    designation,
+    proper_name,
+)
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray
 from startracker.errors import InputError

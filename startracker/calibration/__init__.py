@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from startracker.calibration.field import StarField
-from startracker.calibration.identified_stars import IdentifiedStars
+from startracker.calibration.field import IdentifiedStars, StarField
 from startracker.calibration.in_flight import InFlightCalibration
 from startracker.calibration.lens_filter import LensFilter, LensUpdate
 from startracker.calibration.procedure import calibrate

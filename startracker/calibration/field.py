@@ -1,4 +1,4 @@
-"""One image of a calibration: its centroids, and the catalogue stars in its field."""
+"""One image of a calibration: its centroids, the catalogue stars in its field, and the identified ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,48 @@ import numpy as np
 from startracker.arguments import of_kind, real_array, text, whole_number
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.stars import StarCatalog
-from startracker.core import FloatArray, IntArray
+from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.display import described
 from startracker.estimation.association import nearest_unique
 from startracker.geometry.camera import Camera
+from startracker.geometry.lens_fit import Matches
 from startracker.observer import Observer, aberrate
+from startracker.solution import Solution
+from startracker.tracker import StarTracker
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedStars(Matches):
+    """Stars of one frame: positions (M, 2) with standard errors, pixels, and apparent directions (M, 3), ICRS axes.
+
+    The directions must include aberration: without it the focal length is wrong by up to 100 ppm.
+    """
+
+    catalog_id: IntArray
+    """Number of each star, (M,), by which it is recognised in later frames."""
+    flux: FloatArray
+    """Signal, DN, (M,), of which only the order is used; NaN if not known."""
+
+    @classmethod
+    def of(cls, solution: Solution, tracker: StarTracker) -> IdentifiedStars:
+        """The fitted stars of a solved frame; where their errors are not known, they are taken from the residuals."""
+        of_kind("solution", solution, Solution)
+        stars, guide = solution.stars.fitted, of_kind("tracker", tracker, StarTracker).guide
+        sigma_px = stars.sigma_px
+        if not np.isfinite(sigma_px).all():
+            freedom = max(2 * len(stars) - 3, 1)
+            sigma_px = np.full(len(stars), math.sqrt(float(np.sum(stars.residual_px**2)) / freedom))
+        directions = guide.seen_by(solution.observer).directions[guide.rows_of(stars.catalog_id)]
+        return cls(stars.xy, directions, sigma_px, stars.catalog_id, stars.flux)
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def select(self, chosen: BoolArray) -> IdentifiedStars:
+        """A selection of the stars."""
+        measured = self.xy[chosen], self.directions[chosen], self.sigma_px[chosen]
+        return IdentifiedStars(*measured, self.catalog_id[chosen], self.flux[chosen])
+
 
 _RESOLVED_PX = 2.0
 _MOTION_RAD = math.radians(0.1)

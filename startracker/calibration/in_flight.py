@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.arguments import of_kind, real_number
-from startracker.calibration.identified_stars import IdentifiedStars
+from startracker.calibration.field import IdentifiedStars
 from startracker.calibration.lens_filter import LensFilter, LensUpdate
 from startracker.calibration.psf_width import WidthFilter, star_widths
 from startracker.core import FloatArray
-from startracker.detection.bad_pixels import mask_pixels
-from startracker.detection.defect_map import DefectMap
+from startracker.detection.defect_map import DefectMap, mask_pixels
 from startracker.display import described
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.camera import Camera

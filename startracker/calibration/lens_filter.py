@@ -30,7 +30,7 @@ from scipy.special import chdtri
 
 from startracker.arguments import of_kind, real_array, real_number
 from startracker.calibration.applied import applied_change
-from startracker.calibration.identified_stars import IdentifiedStars
+from startracker.calibration.field import IdentifiedStars
 from startracker.calibration.lens_equations import LensEquations, lens_equations
 from startracker.calibration.residual_field import FrameInformation, ResidualField, field_columns
 from startracker.calibration.star_memory import StarMemory

@@ -14,12 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.doubles import merge_doubles
-from startracker.catalog.field_shape import FieldShape, field_shape
-from startracker.catalog.sky_view import SkyView
+from startracker.catalog.sky_view import (
+    FieldShape,
+    SkyView,
+    VoxelGrid,
+    apparent_directions,
+    field_shape,
+    stars_in_cone,
+    stars_on_image,
+    voxel_grid,
+)
 from startracker.catalog.stars import StarCatalog
-from startracker.catalog.voxels import VoxelGrid, stars_in_cone, stars_on_image, voxel_grid
 from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.display import described
 from startracker.errors import InputError

@@ -12,8 +12,8 @@ from startracker.centroid.result import Centroids
 from startracker.centroid.window import Peaks, Pixels, frame_widths, measure_stars
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.background import Background
-from startracker.detection.plane import sample_plane
 from startracker.detection.spots import Spots
+from startracker.detection.tiles import sample_plane
 from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
 from startracker.kernels import kernel

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.core import FloatArray
-from startracker.detection.light import Light
+from startracker.detection.background import Light
 from startracker.display import fields_repr
 
 _BRIGHTEST, _FEWEST = 9, 5

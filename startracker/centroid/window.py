@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from startracker.centroid.bias import GUESSES, fill_centres, guess_centre, invert_from, invert_moments, window_moments
 from startracker.core import BoolArray, FloatArray, IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_part
 from startracker.sorting import finite_medians

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from startracker.detection.background import Background, as_image, estimate
-from startracker.detection.bad_pixels import find_bad_pixels, mask_pixels
 from startracker.detection.clustering import find_clusters
 from startracker.detection.components import find_components
+from startracker.detection.defect_map import find_bad_pixels, mask_pixels
 from startracker.detection.region_growing import grow_regions
 from startracker.detection.round_regions import find_first_regions, find_round_regions
 from startracker.detection.spots import Spots

@@ -1,18 +1,28 @@
-"""Local background and its noise: robust statistics of tiles, smoothed and interpolated to every pixel."""
+"""Local background and its noise, strong smooth structure in it, and the light above it."""
 
 from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.detection.plane import Plane, as_plane, fill_plane
-from startracker.detection.tiles import interpolate_tiles, smooth_tiles, tile_statistics, whole_step
-from startracker.detection.values import Image, as_image, as_pixels
+from startracker.core import BoolArray, FloatArray
+from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES
+from startracker.detection.tiles import (
+    Plane,
+    as_plane,
+    fill_plane,
+    interpolate_tiles,
+    smooth_tiles,
+    tile_statistics,
+    whole_step,
+)
+from startracker.detection.values import Image, as_image, as_pixels, is_value
 from startracker.errors import InputError
+from startracker.kernels import pixel_kernel
 
 __all__ = ["Background", "as_image", "estimate", "noise_floor"]
 
@@ -152,3 +162,153 @@ def _lattice_step(values: NDArray[Any]) -> float:
     if np.abs(steps_from_first - np.rint(steps_from_first)).max() < _ON_LATTICE:
         return float(gaps.min())
     return min(float(np.median(gaps)), float(values[-1] - values[0]) / 255.0)
+
+
+_LAG_PX = 5
+"""Distance of the pixels whose difference measures the noise: beyond a star image and correlation in photographs."""
+_ROWS, _COLUMNS = 16, 64
+"""Where differences are taken: along few rows, as every row of an image must be fetched again."""
+_SPREAD = 0.67449 * math.sqrt(1.5)
+"""Median of the absolute value of such a difference, for noise of 1."""
+_BIN_PX = 4
+_REACH_BINS = 2
+"""The background is a median of 5 × 5 bins: 20 px, of which a star takes 4 bins of 25, a long trail 5 to 10."""
+
+
+def has_structure(image: Image, background: Background) -> bool:
+    """Whether the background's noise is more than 1.5 times the noise of the pixels.
+
+    The latter is measured by differences of a pixel to the mean of two at 5 px on either side, along x or y, whichever
+    are larger, in units of the background's noise: slopes do not count in them.
+    """
+    if min(image.shape) <= 2 * _LAG_PX:
+        return False
+    return bool(_is_quiet(image, background.noise_plane))
+
+
+@pixel_kernel
+def _is_quiet(image: Image, noise: Plane) -> bool:
+    """Whether the robust standard deviation of the differences of a thousand pixels, in units of the background's
+    noise, is below the limit in both directions, and not zero in one: the medians are compared by counting."""
+    height, width = image.shape
+    down, right = max(1, height // _ROWS), max(1, width // _COLUMNS)
+    quiet, moving = True, False
+    for dy, dx in ((0, _LAG_PX), (_LAG_PX, 0)):
+        count = below = equal = 0
+        for y in range(_LAG_PX, height - _LAG_PX, down):
+            for x in range(_LAG_PX, width - _LAG_PX, right):
+                beside = np.float64(image[y - dy, x - dx]) + np.float64(image[y + dy, x + dx])
+                value = np.float32(abs(np.float64(image[y, x]) - 0.5 * beside) / noise[y, x])
+                count += int(abs(value) < np.inf)
+                below += int(value / _SPREAD * STRUCTURE_NOISE_TIMES < 1.0)
+                equal += int(value <= 0.0)
+        quiet &= below > count // 2 or count == 0
+        moving |= equal <= count // 2 and count > 0
+    return quiet and moving
+
+
+def follow_structure(image: Image, tile_px: int = 64) -> Background:
+    """Background that follows structure of some 20 px and more.
+
+    Means of bins of 4 px, without the highest and the lowest pixel of each, pass a 5 × 5 median, which a slope passes
+    unchanged and a star does not; the median of what is left is added once more (Tukey's twicing), so that a ridge is
+    not cut off by its curvature. The noise is that of what remains, from tiles as in `estimate`.
+
+    Parameters
+    ----------
+    image : array, shape (H, W)
+        DN; not finite: left out.
+    tile_px : int
+        Side of the tiles of the noise.
+    """
+    height, width = image.shape
+    floor = noise_floor(image)[1]
+    bins = _bin_means(image, max(1, round(height / _BIN_PX)), max(1, round(width / _BIN_PX)))
+    gaps = ~np.isfinite(bins)
+    bins[gaps] = np.median(bins[~gaps]) if not gaps.all() else 0.0
+    level = _medians(bins)
+    level += _medians(bins - level)
+    plane = interpolate_tiles(level, height, width, True)
+    made = Background(plane, plane)
+    residual = np.asarray(image, np.float32) - made.level
+    rows, columns = max(1, round(height / tile_px)), max(1, round(width / tile_px))
+    _, noise = tile_statistics(residual, rows, columns, 0.0)
+    known = np.isfinite(noise)
+    noise[~known] = np.median(noise[known]) if known.any() else 1.0
+    return Background(plane, interpolate_tiles(np.maximum(smooth_tiles(noise), floor), height, width, False))
+
+
+@pixel_kernel
+def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
+    """Mean of each of rows × columns bins without its highest and its lowest pixel; NaN of no pixel."""
+    height, width = image.shape
+    out = np.empty((rows, columns))
+    for row in range(rows):
+        y0, y1 = row * height // rows, (row + 1) * height // rows
+        for column in range(columns):
+            x0, x1 = column * width // columns, (column + 1) * width // columns
+            total, low, high, count = 0.0, np.inf, -np.inf, 0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    value = np.float64(image[y, x])
+                    if is_value(image[y, x]):
+                        total, low, high, count = total + value, min(low, value), max(high, value), count + 1
+            if count > 2:
+                total, count = total - low - high, count - 2
+            out[row, column] = total / count if count > 0 else np.nan
+    return out
+
+
+def _medians(bins: FloatArray) -> FloatArray:
+    """Medians of 5 × 5; outside, the map goes on point-symmetrically about its border, so that a slope stays one."""
+    from scipy import ndimage
+
+    reach = min(_REACH_BINS, min(bins.shape) - 1)
+    padded = np.pad(bins, reach, mode="reflect", reflect_type="odd") if reach > 0 else bins
+    side, (height, width) = 2 * reach + 1, bins.shape
+    filtered = ndimage.median_filter(padded.astype(np.float32), side)[reach : reach + height, reach : reach + width]
+    return np.asarray(filtered, dtype=np.float64)
+
+
+_GRID = 48
+"""Positions per axis at which the share of the image that stands out is measured: 3 % of it to 0.4 %."""
+_CHANCE_SIGMAS = 3.0
+_AROUND = np.array([(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)])
+
+
+class Light(NamedTuple):
+    """An image and its background.
+
+    Parameters
+    ----------
+    image : (H, W)
+    background : Background
+    threshold_sigma : float
+        What stands out, in standard deviations of the noise of a pixel.
+    """
+
+    image: Image
+    background: Background
+    threshold_sigma: float
+
+    def stands_out(self, xy: FloatArray) -> BoolArray:
+        """Whether one of the 3 × 3 pixels about each position (N, 2) is above the threshold."""
+        height, width = self.image.shape
+        pixel = np.rint(xy).astype(np.int64)[:, None, :] + _AROUND
+        x, y = np.clip(pixel[..., 0], 0, width - 1), np.clip(pixel[..., 1], 0, height - 1)
+        level, noise = self.background.level[y, x], self.background.noise[y, x]
+        above = self.image[y, x] - level > self.threshold_sigma * noise  # NaN is not
+        return np.asarray(above.any(axis=1))
+
+    def seen(self, xy: FloatArray) -> BoolArray:
+        """Whether each position has light, if more of them have than positions anywhere on the image by chance.
+
+        With n positions and a share p of the image that stands out, p n have light by chance, with a standard deviation
+        of √(p (1 − p) n); up to three of these above it none counts as seen.
+        """
+        lit = self.stands_out(xy)
+        height, width = self.image.shape
+        grid = np.stack(np.meshgrid(np.linspace(0, width - 1, _GRID), np.linspace(0, height - 1, _GRID)), axis=-1)
+        share, count = float(np.mean(self.stands_out(grid.reshape(-1, 2)))), len(xy)
+        by_chance = share * count + _CHANCE_SIGMAS * math.sqrt(share * (1.0 - share) * count)
+        return lit if np.count_nonzero(lit) > by_chance else np.zeros_like(lit)

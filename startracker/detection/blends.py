@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.core import BoolArray, FloatArray, IntArray
-from startracker.detection.plane import Plane
 from startracker.detection.sources import SOURCE, Sources, add_pixel, join_tables
 from startracker.detection.thresholds import (
     BLEND_LEAST_PX2,
@@ -20,6 +19,7 @@ from startracker.detection.thresholds import (
     VALLEY_SHARE,
     VALLEY_SIGMA,
 )
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image
 from startracker.kernels import kernel, kernel_part
 

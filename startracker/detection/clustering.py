@@ -12,10 +12,9 @@ from scipy.spatial import cKDTree
 
 from startracker.core import IntArray
 from startracker.detection.background import Background, as_image
+from startracker.detection.classify import select_spots
 from startracker.detection.forms import brightest_first
-from startracker.detection.objects import find_runs, join_runs
-from startracker.detection.selection import select_spots
-from startracker.detection.sources import SOURCE, Sources, add_pixel
+from startracker.detection.sources import SOURCE, Sources, add_pixel, find_runs, join_runs
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError

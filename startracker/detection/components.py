@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from startracker.detection.background import Background
 from startracker.detection.blends import part_blends
+from startracker.detection.classify import select_spots
 from startracker.detection.forms import brightest_first
 from startracker.detection.matched import filter_half, search_filtered
-from startracker.detection.objects import cut_runs, join_runs, measure_objects
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
-from startracker.detection.selection import select_spots
-from startracker.detection.sources import Sources, join_tables
+from startracker.detection.sources import Sources, cut_runs, join_runs, join_tables, measure_objects
 from startracker.detection.spots import Spots
 from startracker.detection.thresholds import LONGEST_TIMES, OVERSIZED_CONTRAST, OVERSIZED_LEVELS, OVERSIZED_RAISE
 from startracker.detection.trailed import decide, line_up, looks_trailed, select_trailed
@@ -40,7 +39,7 @@ def find_components(
     distinct valleys between them are parted (`startracker.detection.blends`).
 
     Where three of the brightest objects are streaks, or many were parted, the frame may be smeared: it is searched
-    again at half the threshold. If streaks fit one motion of the camera (`startracker.detection.motion`), either all
+    again at half the threshold. If streaks fit one motion of the camera (`startracker.detection.forms`), either all
     stars are trailed by it, or the stars are points and the streaks are satellites: see
     `startracker.detection.trailed`.
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.detection.background import Background, as_image
+from startracker.detection.classify import select_spots
 from startracker.detection.forms import brightest_first
-from startracker.detection.selection import select_spots
 from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.core import IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel_part, pixel_kernel
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.core import FloatArray, IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel_part, pixel_kernel
 

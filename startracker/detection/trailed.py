@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from startracker.core import FloatArray, IntArray
 from startracker.detection.background import Background
-from startracker.detection.forms import are_long, measure_forms
-from startracker.detection.motion import agrees, frame_motion, motion_at
-from startracker.detection.selection import FAINTER
+from startracker.detection.classify import FAINTER
+from startracker.detection.forms import agrees, are_long, frame_motion, measure_forms, motion_at
 from startracker.detection.shapes import MAJOR, MINOR, SHAPE_SNR, measure_shapes
 from startracker.detection.sources import Sources, is_saturated
 from startracker.detection.spots import Spots
@@ -98,7 +97,7 @@ def select_trailed(
     Parameters
     ----------
     table, settings, saturation_known, background, excess
-        As for `startracker.detection.selection.select_spots`; the objects found at half the threshold, which faint
+        As for `startracker.detection.classify.select_spots`; the objects found at half the threshold, which faint
         trails fall apart above. In exchange an object needs 12 pixels and, as a whole, twice the threshold. To be a
         trail it need only be longer than broad: the limit on the axis ratio, somewhere in which trails of one length
         scatter, is for single ones.

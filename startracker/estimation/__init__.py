@@ -5,8 +5,7 @@ from __future__ import annotations
 from startracker.estimation.field_fit import Estimator, FieldFit, field_fit
 from startracker.estimation.plate import Plate, plate_constants, solve_plate
 from startracker.estimation.result import Estimate
-from startracker.estimation.star_pair import pitch_error_deg, star_pair
-from startracker.estimation.triad import triad
+from startracker.estimation.two_directions import pitch_error_deg, star_pair, triad
 from startracker.estimation.wahba import davenport, esoq2, quest, wahba_svd
 
 __all__ = [

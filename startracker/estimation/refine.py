@@ -10,10 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase, field_cosine
-from startracker.catalog.voxels import stars_on_image
+from startracker.catalog.sky_view import stars_on_image
 from startracker.centroid.result import Measured
 from startracker.core import BoolArray, FloatArray, IntArray
-from startracker.estimation.association import MARGIN_PX, Field, joined, matched_again, named
+from startracker.estimation.association import (
+    EXTRA_SIGMA,
+    MARGIN_PX,
+    Displaced,
+    Field,
+    joined,
+    matched_again,
+    named,
+    seen_stars,
+)
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
 from startracker.estimation.few_stars import of_unknown_errors, with_doubt
 from startracker.estimation.field_fit import Estimator, FieldFit, takes_field
@@ -28,7 +37,6 @@ from startracker.estimation.image_errors import (
 )
 from startracker.estimation.outliers import FEWEST_STARS, MOST_STARS, average, is_suspicious, log_weight, rows_of
 from startracker.estimation.pose import TRUSTED, Linearised, Pose, displacements, fit_pose
-from startracker.estimation.predicted_pixels import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import CX, WIDTH

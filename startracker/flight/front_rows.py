@@ -53,7 +53,7 @@ def bridge_impulses(pixels: IntArray, lines: Lines, tables: FrontTables) -> IntA
     """Pixels with the hot ones replaced by the fourth lowest of their eight neighbours.
 
     A hot pixel stands 5σ above the background and has at most two neighbours with more than 0.15 of its signal, as of
-    `startracker.detection.defects`. Pixels at the frame's border, and more than `HOT` in a row, are left as they are.
+    `startracker.detection.artefacts`. Pixels at the frame's border, and more than `HOT` in a row, are left as they are.
     """
     height, width = pixels.shape
     if not tables.share or min(height, width) < 3:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from startracker.core import IntArray
-from startracker.detection.cosmic_rays import peak_share
+from startracker.detection.artefacts import peak_share
 from startracker.detection.matched import DEFAULT_SIGMA_PX, matched_kernel
 from startracker.detection.scan import kernel_half
 from startracker.detection.thresholds import SHARP_SHARE, SHARPEST_STARS_PX2, WIDEST_TRACK_PX2

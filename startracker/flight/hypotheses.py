@@ -1,6 +1,6 @@
 """Hypotheses of an identification in integers: verified attitudes, the strongest first, and their acceptance.
 
-The rules are those of `startracker.identification.hypothesis`. Whatever makes the hypotheses (`candidates`, `triads`)
+The rules are those of `startracker.identification.acceptance`. Whatever makes the hypotheses (`candidates`, `triads`)
 gives attitudes to a `Work`. The C (`c/tracker_search.c`, `c/tracker_pair.c`) performs the same operations.
 """
 

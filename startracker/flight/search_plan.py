@@ -75,7 +75,7 @@ SEARCHES = (
 
 
 TRIAD_SCALES = (1, 3, 10)
-"""Multiples of the stated errors (`startracker.identification.hypothesis.SCALES`)."""
+"""Multiples of the stated errors (`startracker.identification.acceptance.SCALES`)."""
 _TRIAD_STEPS = (6_000_000, 8_000_000, 8_000_000)
 
 

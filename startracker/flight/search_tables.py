@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import gammaln, pdtrc
 
-from startracker.catalog.field_shape import field_shape
 from startracker.catalog.guide import GuideDatabase, brightest_everywhere
+from startracker.catalog.sky_view import field_shape
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
 from startracker.fixed_point.evidence import LOG_BITS

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from startracker.errors import InputError
 from startracker.fixed_point.formats import ANGLE
 from startracker.flight.design import FlightDesign
-from startracker.identification.hypothesis import WIDEST_SHARE
+from startracker.identification.acceptance import WIDEST_SHARE
 from startracker.settings.identification import TriadSettings
 
 MOST_STARS = 24

@@ -16,11 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.catalog.voxels import stars_in_cone
+from startracker.catalog.sky_view import stars_in_cone
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.estimation.directions import focal_slopes
-from startracker.identification.acceptance import accepts, power_of_ten
-from startracker.identification.hypothesis import HypothesisPool, tried_scales
+from startracker.identification.acceptance import HypothesisPool, accepts, power_of_ten, tried_scales
 from startracker.identification.observed import Identification, Observed
 from startracker.identification.verification import FEWEST_FOR_FOCAL, FOCAL_SIGMA, GATE_SIGMAS
 from startracker.settings import IdentificationSettings

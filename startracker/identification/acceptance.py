@@ -1,4 +1,4 @@
-"""The one rule of acceptance: an answer is accepted if it occurs by chance more rarely than the user allows.
+"""Acceptance by probability: an attitude is accepted if chance explains it more rarely than the user allows.
 
 With B the Bayes factor of the best answer and Bₖ those of its rivals the reported chance is
 
@@ -10,18 +10,34 @@ knowledge of the attitude enters as `log_gain`:
 
 - the whole sky: B is an average over it; none.
 - a cone about a prior attitude multiplies B and Bₖ by what it narrows the search.
-- a prediction with its covariance: B is an average over that Gaussian (`startracker.tracking.evidence`); none.
+- a prediction with its covariance: B is an average over that Gaussian (`startracker.tracking.matching`); none.
 - an unknown scale, where T patterns were tried without averaging over attitudes, divides them by T.
+
+Each hypothesis, however it was found, is refitted to all observed stars of the field and weighed (`bayes_factor`):
+the more stars it explains, and the fewer its rivals explain, the less probable is a chance match.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 
-from startracker.identification.observed import Identification
+import numpy as np
+
+from startracker.catalog.guide import GuideDatabase
+from startracker.core import FloatArray, IntArray
+from startracker.estimation.directions import focal_slopes
+from startracker.identification.bayes_factor import count_table, largest_density
+from startracker.identification.clustering_null import log_excess_density
+from startracker.identification.observed import Identification, Observed, Prior, magnitudes_of
+from startracker.identification.search_state import Stars
+from startracker.identification.verification import MOST_EXTRA, Verified, verify_attitude
+from startracker.kernels import kernel
 from startracker.settings import IdentificationSettings
 from startracker.solution import Solution, Status
+from startracker.trace import Steps
 
 SURE_BEYOND = 15.0
 """Margin to the limit (in ln of the chance) beyond which no other hypothesis can compete."""
@@ -71,3 +87,287 @@ def power_of_ten(log_value: float) -> str:
     """A chance as text, rounded down to a power of ten: e⁻²⁰⁰⁰ is not a float."""
     exponent = math.floor(min(log_value, 0.0) / math.log(10.0))
     return f"1e{exponent}" if exponent < 0 else "1"
+
+
+SCALES: tuple[float, ...] = (1.0, 3.0, 10.0)
+"""Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""
+WIDEST_SHARE = 0.01
+"""Largest error assumed, of the field's half diagonal (3.6 px of 512), unless more is stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """An attitude with the pairs it explains.
+
+    Parameters
+    ----------
+    matrix : (3, 3)
+        ICRS to camera.
+    pairs : int (M, 2)
+        Observed and guide index.
+    log_evidence : float
+        ln B (`bayes_factor`).
+    scale : float
+        Multiple of the stated errors that explains it best.
+    in_field : int
+        Guide stars expected on the image, at most as many as can be among the observed.
+    focal : float
+        Factor of the focal length against the camera's; 1 if that fits.
+    """
+
+    matrix: FloatArray
+    pairs: IntArray
+    log_evidence: float
+    scale: float
+    in_field: int
+    focal: float = 1.0
+
+    def agrees_with(self, other: Hypothesis) -> bool:
+        """Whether two hypotheses are one and the same: most of the smaller one's pairs are shared."""
+        mine = {(int(o), int(g)) for o, g in self.pairs}
+        theirs = {(int(o), int(g)) for o, g in other.pairs}
+        return len(mine & theirs) >= 0.5 * max(1, min(len(mine), len(theirs)))
+
+
+def kernel_stars(observed: Observed, guide: GuideDatabase) -> Stars:
+    """Observed stars as kernels take them, kept in `observed`."""
+    area, kept = guide.solid_angle_sr, observed.kept
+    if area not in kept:
+        n, vectors = len(observed), np.ascontiguousarray(observed.vectors, dtype=np.float64)
+        sigma = np.ascontiguousarray(observed.sigma_rad, dtype=np.float64)
+        slopes, excess, magnitude = _derived(vectors, observed.flux_or_nan(), area)
+        counts = count_table(n, 2 * n + MOST_EXTRA)
+        kept[area] = Stars(vectors, slopes, sigma, magnitude, counts, excess)
+    stars: Stars = kept[area]
+    return stars
+
+
+@kernel
+def _derived(vectors: FloatArray, flux: FloatArray, area: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """`focal_slopes`, `log_excess_density` and `magnitudes_of` of the stars, in one call."""
+    return focal_slopes(vectors), log_excess_density(vectors, area), magnitudes_of(flux)
+
+
+def verify(
+    matrix: FloatArray,
+    observed: Observed,
+    guide: GuideDatabase,
+    scale: float = SCALES[-1],
+    focal: float | None = None,
+) -> tuple[Hypothesis | None, int]:
+    """Check an attitude against every observed star: match, refit until the match no longer changes, weigh.
+
+    Parameters
+    ----------
+    matrix : (3, 3)
+        ICRS to camera.
+    observed, guide
+        The observed stars, and the guide stars.
+    scale : float
+        The first gate is 4.5 times this times the stated errors; narrower ones follow, and the one with most evidence
+        is kept.
+    focal : float, optional
+        Factor of the focal length to start from, if that is fitted too (within some 2 %).
+
+    Returns
+    -------
+    Hypothesis, or None if fewer than three stars agree; and the operations that it took.
+    """
+    start, free = np.ascontiguousarray(matrix, dtype=np.float64), focal is not None
+    log_focal = 0.0 if focal is None else math.log(focal)
+    found = verify_attitude(start, log_focal, kernel_stars(observed, guide), guide.view, float(scale), free)
+    return hypothesis_of(found), found.operations
+
+
+def hypothesis_of(found: Verified) -> Hypothesis | None:
+    """Result of `verify_attitude` as an object; None if fewer than three stars agree."""
+    if not found.log_b > -math.inf:
+        return None
+    return Hypothesis(
+        matrix=found.matrix,
+        pairs=found.pairs,
+        log_evidence=found.log_b,
+        scale=found.scale,
+        in_field=found.in_field,
+        focal=math.exp(found.focal),
+    )
+
+
+def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
+    """Those of `SCALES` that leave the errors a small share of the field's half diagonal; at least the first."""
+    largest = WIDEST_SHARE * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
+    return tuple(scale for scale in SCALES if scale <= largest) or SCALES[:1]
+
+
+def too_few(observed: Observed, least: int) -> Identification:
+    """Result if fewer stars were seen than a method needs."""
+    reason = f"{len(observed)} stars seen, {least} are needed"
+    return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
+
+
+@dataclass
+class HypothesisPool:
+    """Collects the hypotheses of one identification and judges them.
+
+    Parameters
+    ----------
+    settings : IdentificationSettings
+        For the false-alarm rate and the least number of stars.
+    prior : Prior, optional
+        The smaller the range of possible attitudes, the fewer chance matches there are.
+    stars : int
+        Observed stars.
+    hypotheses : list of Hypothesis
+        Those with the strongest evidence, the strongest first.
+    tried : list
+        What was tried: texts, or functions that return one.
+    operations : int
+        Used so far (`IdentificationSettings.max_operations`).
+    cut_short : bool
+        Whether something was left out for want of operations.
+    """
+
+    settings: IdentificationSettings
+    prior: Prior | None = None
+    stars: int = 3
+    hypotheses: list[Hypothesis] = field(default_factory=list)
+    tried: list[str | Callable[[], str]] = field(default_factory=list)
+    operations: int = 0
+    cut_short: bool = False
+
+    def __post_init__(self) -> None:
+        self.limit = log_limit(self.settings)
+        """ln of the largest chance that is accepted."""
+        self._log_density, self._gain = math.log(largest_density(self.stars)), _gain(self.prior)
+        self.least_evidence = self._log_density - self.limit - self._gain
+        """ln B from which a hypothesis without rivals is accepted."""
+        self.decisive_evidence = SURE_BEYOND + self.least_evidence
+        """ln B from which a hypothesis without rivals is `decided`."""
+
+    @property
+    def left(self) -> int:
+        """Operations that the search may still use."""
+        return self.settings.max_operations - self.operations
+
+    def spend(self, operations: float) -> bool:
+        """Count the operations of a step; False, and the search is `cut_short`, if there are not as many left."""
+        if operations > self.left:
+            self.cut_short = True
+            return False
+        self.operations += int(operations)
+        return True
+
+    def check(
+        self,
+        matrix: FloatArray,
+        observed: Observed,
+        guide: GuideDatabase,
+        scale: float = SCALES[-1],
+        focal: float | None = None,
+    ) -> None:
+        """Add an attitude as `verify` finds it, unless there are no operations left."""
+        if self.left <= 0:
+            self.cut_short = True
+            return
+        hypothesis, operations = verify(matrix, observed, guide, scale, focal)
+        self.operations += operations
+        self.add(hypothesis)
+
+    def add(self, hypothesis: Hypothesis | None) -> None:
+        """Add a verified hypothesis; one that repeats another replaces it only if it is better."""
+        if hypothesis is None or not (self.prior is None or self.prior.allows(hypothesis.matrix)):
+            return
+        for k, known in enumerate(self.hypotheses):
+            if known.agrees_with(hypothesis):
+                if hypothesis.log_evidence > known.log_evidence:
+                    self.hypotheses[k] = hypothesis
+                break
+        else:
+            self.hypotheses.append(hypothesis)
+        if len(self.hypotheses) > 1:
+            self.hypotheses.sort(key=lambda h: -h.log_evidence)
+            del self.hypotheses[20:]
+
+    def note(self, text: str | Callable[[], str]) -> None:
+        """Note what was tried, for the explanation."""
+        self.tried.append(text)
+
+    @property
+    def log_chance(self) -> float:
+        """ln of the chance that the best hypothesis is wrong: (1 + Σ B of the others) p / B, p the density."""
+        if not self.hypotheses:
+            return 0.0
+        best, *others = (h.log_evidence for h in self.hypotheses)
+        return log_chance(best, others, log_gain=self._gain, log_density=self._log_density)
+
+    @property
+    def decided(self) -> bool:
+        """Whether the best one is so far beyond the limit that no other can compete."""
+        return bool(self.hypotheses) and self.log_chance < self.limit - SURE_BEYOND
+
+    def judge(self, observed: Observed) -> Identification:
+        """Solved, ambiguous, no match, or ended by the limit on operations, with the reason in words."""
+        found = self._judge(observed)
+        if found.status is Status.SOLVED:
+            return found
+        status, reason = found.status, found.reason
+        if self.cut_short:
+            limit = self.settings.max_operations
+            reason = f"ended by the limit on its operations (max_operations {limit:.3g}); until then: {reason}"
+            status = Status.SEARCH_LIMIT
+        return replace(found, status=status, reason=reason, operations=self.operations)
+
+    def _judge(self, observed: Observed) -> Identification:
+        seen = f"{len(observed)} stars seen"
+        if self.prior is not None:
+            seen += f", prior within {math.degrees(self.prior.radius_rad):.2g}°"
+        if not self.hypotheses:
+            return Identification(
+                Status.NO_MATCH, f"no attitude explains three stars: {seen}", steps=Steps(*self.tried)
+            )
+        best, chance, limit = self.hypotheses[0], self.log_chance, self.settings.false_alarm_rate
+        says = f"{len(best.pairs)} of {len(observed)} stars fit, {best.in_field} guide stars in that field"
+        steps = Steps(*self.tried, partial(_described, tuple(self.hypotheses[:3])))
+        enough = len(best.pairs) >= self.settings.min_stars
+        if enough and accepts(chance, self.settings):
+            reason = f"{says}; by chance with probability {power_of_ten(chance)}"
+            return Identification(
+                status=Status.SOLVED,
+                reason=reason,
+                pairs=best.pairs,
+                log_false_alarm=chance,
+                focal=best.focal,
+                steps=steps,
+                operations=self.operations,
+            )
+        if not enough or chance > self._log_density:
+            reason = f"best attitude is no better than chance: {says}"
+            return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)
+        if len(self.hypotheses) > 1 and self._log_density - best.log_evidence - self._gain <= self.limit:
+            other = self.hypotheses[1]
+            reason = f"{says}, but another part of the sky fits {len(other.pairs)} stars nearly as well"
+        else:
+            reason = f"{says}: by chance with probability {power_of_ten(chance)}, above the limit of {limit:.0e}"
+        return Identification(Status.AMBIGUOUS, reason, log_false_alarm=chance, steps=steps)
+
+
+def _gain(prior: Prior | None) -> float:
+    """What a prior adds to ln B: of all rotations a fraction (ρ − sin ρ)/π is by less than its radius ρ."""
+    if prior is None:
+        return 0.0
+    radius = min(prior.radius_rad, math.pi)
+    return -math.log((radius - math.sin(radius)) / math.pi if radius > 1e-3 else radius**3 / (6.0 * math.pi))
+
+
+def _described(hypotheses: tuple[Hypothesis, ...]) -> tuple[str, ...]:
+    return tuple(map(_describe, hypotheses))
+
+
+def _describe(hypothesis: Hypothesis) -> str:
+    x, y, z = hypothesis.matrix[2].tolist()
+    ra, dec = math.degrees(math.atan2(y, x)) % 360.0, math.degrees(math.asin(max(-1.0, min(1.0, z))))
+    return (
+        f"hypothesis at RA {ra:.3f}°, Dec {dec:+.3f}°: {len(hypothesis.pairs)} stars fit within "
+        f"{hypothesis.scale:g} stated errors, {hypothesis.in_field} guide stars expected; "
+        f"e^{hypothesis.log_evidence:.1f} times likelier than chance"
+    )

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.core import FloatArray, IntArray
+from startracker.identification.acceptance import HypothesisPool, kernel_stars, too_few
 from startracker.identification.candidate_search import Effort, Verifier
-from startracker.identification.hypothesis import HypothesisPool, kernel_stars, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.other_stars import MOST_STARS
 from startracker.identification.pole_votes import VOTE_SIGMAS, VoteCounts, pair_bearings, vote_about

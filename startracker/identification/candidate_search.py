@@ -10,9 +10,8 @@ import numpy as np
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.sky_view import SkyView
 from startracker.core import FloatArray
-from startracker.identification.hypothesis import HypothesisPool, hypothesis_of
-from startracker.identification.occupancy import NO_OCCUPANCY, Occupancy, occupancy_map
-from startracker.identification.other_stars import Confirmation, next_confirmed
+from startracker.identification.acceptance import HypothesisPool, hypothesis_of
+from startracker.identification.other_stars import NO_OCCUPANCY, Confirmation, Occupancy, next_confirmed, occupancy_map
 from startracker.identification.search_state import Candidates, Limits, Stars
 from startracker.identification.verification import GATE_SIGMAS, Verified, is_known, verify_attitude
 from startracker.kernels import kernel

@@ -23,7 +23,7 @@ import numpy as np
 from startracker.catalog.guide import GuideDatabase
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.wahba import fit_rotation
-from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few
+from startracker.identification.acceptance import SCALES, HypothesisPool, too_few
 from startracker.identification.match_kernels import (
     MAX_MEMBERS,
     Groups,

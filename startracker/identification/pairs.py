@@ -1,11 +1,84 @@
-"""Separations of observed stars and their windows in the sorted list of guide pairs."""
+"""Pairs of stars by their separation: windows in a sorted list, found in constant time (k-vector).
+
+A straight line through the sorted values is divided into as many steps as there are values, and the number of values
+below each step is tabulated. A range then starts and ends a few values away from the table's, however long the list;
+these are searched one by one, so that the result is exactly that of `numpy.searchsorted`.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from startracker.catalog.guide import PairList
 from startracker.core import FloatArray, IntArray
+from startracker.kernels import kernel_part
+
+
+class KVector(NamedTuple):
+    """Index of ascending values.
+
+    Parameters
+    ----------
+    values : (n,)
+        Ascending.
+    below : int32 (n + 1,)
+        Values below ``start + k * step``.
+    start, step : float
+        The line.
+    """
+
+    values: FloatArray
+    below: NDArray[np.int32]
+    start: float
+    step: float
+
+
+def k_vector(values: FloatArray) -> KVector:
+    """Index of ascending, finite values (n,)."""
+    ascending = np.ascontiguousarray(values, dtype=np.float64)
+    n = len(ascending)
+    if n == 0:
+        return KVector(ascending, np.zeros(1, np.int32), 0.0, 1.0)
+    start = float(ascending[0])
+    step = (float(ascending[-1]) - start) / n
+    if not step > 0.0:
+        step = 1.0
+    below = np.searchsorted(ascending, start + step * np.arange(n + 1), side="left").astype(np.int32)
+    return KVector(ascending, below, start, step)
+
+
+@kernel_part
+def _first_from(index: KVector, value: float) -> int:
+    """Position of the first value that is not below `value`."""
+    n = len(index.values)
+    if n == 0 or value <= index.values[0]:
+        return 0
+    if value > index.values[n - 1]:
+        return n
+    at = int(index.below[min(max(int((value - index.start) / index.step), 0), n)])
+    # the step's own rounding can put the line a value off on either side
+    while at > 0 and index.values[at - 1] >= value:
+        at -= 1
+    while at < n and index.values[at] < value:
+        at += 1
+    return at
+
+
+@kernel_part
+def find_range(index: KVector, low: float, high: float) -> tuple[int, int]:
+    """Half-open range of the positions whose values are ≥ `low` and ≤ `high`."""
+    first = _first_from(index, low)
+    last = first
+    n = len(index.values)
+    if high >= low and n > 0:
+        last = max(_first_from(index, high), first)
+        while last < n and index.values[last] <= high:  # equal to the limit
+            last += 1
+    return first, last
+
 
 PAIR_SIGMAS = 4.0
 """A true pair's separation is measured within this many standard errors: 6e-5 of them are lost."""

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few
+from startracker.identification.acceptance import SCALES, HypothesisPool, too_few
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_kernels import PatternFinds, Plan, search_patterns
 from startracker.identification.pattern_table import pattern_table

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.catalog.sky_view import SkyView
-from startracker.catalog.voxels import star_within
+from startracker.catalog.sky_view import SkyView, star_within
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import normal_equations, pair_rotation
 from startracker.geometry.linalg import chord, rotate_back, solve, transform, triple_product, turned

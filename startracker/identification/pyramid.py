@@ -20,15 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.guide import GuideDatabase, PairList
-from startracker.catalog.sky_view import SkyView
-from startracker.catalog.voxels import stars_in_cone
+from startracker.catalog.sky_view import SkyView, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import pair_rotation
 from startracker.geometry.linalg import chord, rotate_back, triple_product
-from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few, tried_scales
-from startracker.identification.kvector import KVector, find_range, k_vector
+from startracker.identification.acceptance import SCALES, HypothesisPool, too_few, tried_scales
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.identification.pairs import pair_tolerance, separation
+from startracker.identification.pairs import KVector, find_range, k_vector, pair_tolerance, separation
 from startracker.kernels import kernel, kernel_part
 from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status

@@ -23,8 +23,8 @@ from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.estimation.wahba import fit_rotation
 from startracker.fixed_point.formats import FixedPointOverflow
 from startracker.fixed_point.wide import WideArithmetic
+from startracker.identification.acceptance import SCALES, HypothesisPool, too_few, tried_scales
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
-from startracker.identification.hypothesis import SCALES, HypothesisPool, too_few, tried_scales
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance
 from startracker.identification.triad_search import TriadLimits

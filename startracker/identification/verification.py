@@ -7,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from startracker.catalog.field_shape import in_shape
-from startracker.catalog.sky_view import SkyView
-from startracker.catalog.voxels import stars_in_cone
+from startracker.catalog.sky_view import SkyView, in_shape, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.association import nearest_unique
 from startracker.estimation.directions import normal_equations

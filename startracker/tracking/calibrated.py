@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from startracker.arguments import of_kind
-from startracker.calibration.identified_stars import IdentifiedStars
+from startracker.calibration.field import IdentifiedStars
 from startracker.calibration.in_flight import InFlightCalibration
 from startracker.core import FloatArray
 from startracker.inputs import GivenImage, given_image

@@ -38,7 +38,7 @@ class Followed:
     """A frame matched with the prediction: the updated filter, and the stars used.
 
     `log_chance` is that of `startracker.identification.acceptance`. The prior is the prediction's Gaussian, over which
-    the Bayes factor of `startracker.tracking.evidence` is integrated; there is no other prior, and no competing
+    the Bayes factor of `startracker.tracking.matching` is integrated; there is no other prior, and no competing
     hypothesis.
     """
 

@@ -25,8 +25,7 @@ from scipy.ndimage import binary_dilation, label
 
 from startracker.core import FloatArray
 from startracker.detection.background import Background, estimate
-from startracker.detection.bad_pixels import mask_pixels
-from startracker.detection.defect_map import DefectMap
+from startracker.detection.defect_map import DefectMap, mask_pixels
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude

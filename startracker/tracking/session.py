@@ -31,13 +31,12 @@ from startracker.settings.checks import settings_or_default
 from startracker.solution import Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking.checked import checked_rate
+from startracker.tracking.consistency import Scatter, at_least_stated
 from startracker.tracking.following import Followed
-from startracker.tracking.frame_clock import FrameClock
 from startracker.tracking.looking import Expected, Seen, Sky, as_pixels, centroids_seen, look, streak_px, window_half
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
-from startracker.tracking.repeats import FrameMemory, list_key
-from startracker.tracking.scatter import Scatter, at_least_stated
-from startracker.tracking.state import TrackingState
+from startracker.tracking.standstill import FrameMemory, list_key
+from startracker.tracking.state import FrameClock, TrackingState
 from startracker.tracking.watched import WatchedFilter
 
 

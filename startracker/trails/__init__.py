@@ -5,8 +5,7 @@ these with a camera the positions of the stars at mid-exposure.
 """
 
 from startracker.trails.find import find_trails
-from startracker.trails.result import Trails
-from startracker.trails.turn import mid_exposure
+from startracker.trails.turn import Trails, mid_exposure
 
 __all__ = ["Trails", "find_trails", "mid_exposure"]
 

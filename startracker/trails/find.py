@@ -12,8 +12,8 @@ from startracker.centroid.psf_fit import MISFIT_SIGMA, SYSTEMATIC_PX
 from startracker.centroid.result import Centroids, misfit_of_brightest
 from startracker.core import FloatArray
 from startracker.detection.background import Background
+from startracker.detection.forms import agrees
 from startracker.detection.matched import DEFAULT_SIGMA_PX, quantiles
-from startracker.detection.motion import agrees
 from startracker.detection.values import Image, as_pixels
 from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings
@@ -22,7 +22,7 @@ from startracker.trails.fit import measure_trails
 from startracker.trails.lines import SHORTEST_PX, bin_residual, candidate_lines, lines_along
 from startracker.trails.model import ANGLE, FLUX, HALF, SIGMA, residual_of
 from startracker.trails.motion import CommonMotion, Signal, find_motion, lengths_of, within
-from startracker.trails.result import Trails
+from startracker.trails.turn import Trails
 
 FloatImage = NDArray[np.float32]
 
@@ -52,7 +52,7 @@ def find_trails(
 
     The image is divided by its noise and summed along lines of 8 px to 0.3 of its smaller side in all directions. The
     lines that stand out are fitted, each for itself; where four of them, and most of the brightest, agree in one
-    motion of the camera (`startracker.detection.motion`), the image is searched again for trails of this motion, down
+    motion of the camera (`startracker.detection.forms`), the image is searched again for trails of this motion, down
     to `threshold_sigma` along the whole trail. The model of a trail is a line convolved with a Gaussian; neighbours
     that overlap are measured with each other's light subtracted.
 

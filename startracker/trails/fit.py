@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.core import FloatArray, IntArray
-from startracker.detection.plane import Plane
 from startracker.detection.thresholds import RING_SHARE
+from startracker.detection.tiles import Plane
 from startracker.detection.values import is_value
 from startracker.geometry.linalg import factorise, substitute
 from startracker.kernels import kernel, kernel_part

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.core import FloatArray
+from startracker.detection.forms import motion_at
 from startracker.detection.matched import matched_kernel, quantiles
-from startracker.detection.motion import motion_at
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.kernels import kernel, pixel_kernel
 
 FloatImage = NDArray[np.float32]
@@ -246,7 +246,7 @@ def lines_along(bins: FloatImage, scale: float, motion: FloatArray, threshold: f
     bins : (H, W)
         Squares of `scale` px, noise of standard deviation 1.
     motion : (3,)
-        (a, b, c) of `startracker.detection.motion`.
+        (a, b, c) of `startracker.detection.forms`.
     threshold : float
         Least significance, in units of the noise of the sums along the lines.
     sigma_px : float

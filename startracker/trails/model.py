@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.core import FloatArray, IntArray
-from startracker.detection.plane import Plane
+from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
 from startracker.kernels import kernel, kernel_part, kernel_with, pixel_kernel
 

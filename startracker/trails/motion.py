@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from startracker.core import FloatArray, IntArray
-from startracker.detection.motion import agrees, common_motion, motion_at
-from startracker.detection.plane import Plane
+from startracker.detection.forms import agrees, common_motion, motion_at
 from startracker.detection.thresholds import MOTION_TOLERANCE_PX, MOTION_TOLERANCE_SHARE
+from startracker.detection.tiles import Plane
 from startracker.geometry.camera import Camera
 from startracker.sorting import median
 from startracker.trails.fit import best_stretches, fit_trail, light_along
@@ -67,7 +67,7 @@ class CommonMotion(NamedTuple):
     Parameters
     ----------
     motion, covariance : (3,), (3, 3)
-        (a, b, c) of `startracker.detection.motion`.
+        (a, b, c) of `startracker.detection.forms`.
     middle : (2,)
         Of the image, px.
     sigma : float

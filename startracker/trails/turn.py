@@ -9,7 +9,7 @@ lengths of the trails show, moves all stars alike: it is the covariance that all
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from startracker.centroid.psf_fit import MISFIT_SIGMA
 from startracker.centroid.result import Centroids
 from startracker.core import FloatArray
+from startracker.display import fields_repr
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
 from startracker.geometry.linalg import solve
-from startracker.trails.result import Trails
 
 _MOTION_ERROR_PX, _MOTION_ERROR_SHARE = 0.3, 0.02
 """Of the motion that the search found: in pixels, and of its length, as it knows no projection."""
@@ -98,7 +98,7 @@ def fit_turn(xy: FloatArray, measured: FloatArray, variance: FloatArray, motion:
     variance : (N, 2)
         Of the length, and of the ends across it, px².
     motion : (3,)
-        (a, b, c) of `startracker.detection.motion`.
+        (a, b, c) of `startracker.detection.forms`.
     camera : Camera
     """
     a, b, c = motion
@@ -157,3 +157,28 @@ def _bows(xy: FloatArray, camera: Camera, halves: FloatArray) -> FloatArray:
     along = (off * unit).sum(axis=-1, keepdims=True) * unit
     bow = along + (off - along) / 3.0
     return np.where(np.isfinite(bow), bow, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Trails:
+    """Stars trailed along the motion of the frame.
+
+    Parameters
+    ----------
+    centroids : Centroids
+        Middles of the trails, where the stars stood in the middle of the exposure; brightest first.
+    motion : (3,)
+        (a, b, c): during the exposure what is at (x, y) from the image's middle moved by (a − c y, b + c x), pixels;
+        forwards or backwards is not known.
+    lengths : (N, 2)
+        Of the trails along x and y, px.
+    fitted_alone : bool (N,)
+        Whether a trail's length and direction were fitted to itself, not taken from the motion.
+    """
+
+    centroids: Centroids
+    motion: FloatArray
+    lengths: FloatArray
+    fitted_alone: NDArray[np.bool_]
+
+    __repr__ = fields_repr

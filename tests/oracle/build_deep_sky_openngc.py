@@ -15,7 +15,7 @@ import astropy.units as u
 from astropy.coordinates import SkyCoord
 from pyongc.ongc import Dso
 
-from startracker.catalog.deep_sky import deep_sky_objects
+from startracker.catalog.names import deep_sky_objects
 
 OUT = Path(__file__).parent / "data" / "deep_sky_openngc.json"
 NAMES = {"ESO 56-115": "ESO056-115", "M102": "NGC5866"}  # OpenNGC takes M102 for M101

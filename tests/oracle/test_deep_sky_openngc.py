@@ -9,7 +9,7 @@ import json
 from importlib.resources import files
 from pathlib import Path
 
-from startracker.catalog.deep_sky import deep_sky_objects
+from startracker.catalog.names import deep_sky_objects
 
 CHECKED = json.loads((Path(__file__).parent / "data" / "deep_sky_openngc.json").read_text(encoding="utf-8"))
 

@@ -13,8 +13,7 @@ from scipy.special import erf
 from scipy.stats import norm
 
 from startracker.detection import Background, estimate, find_components
-from startracker.detection.matched import filter_half, matched_kernel, search_filtered
-from startracker.detection.stamps import filtered_pixel
+from startracker.detection.matched import filter_half, filtered_pixel, matched_kernel, search_filtered
 from startracker.settings import DetectionSettings
 
 

@@ -19,7 +19,7 @@ from simulator.optics.drift import Drift, drifting_paths
 from simulator.optics.smear import star_paths
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.sky.observer import is_sunlit
+from simulator.sky.ephemeris import is_sunlit
 from simulator.sky.satellites import behind_earth, diffuse_phase, standard_magnitude, sunlit_share
 from simulator.sky.solar_system import sun_position_au
 from startracker.core import ARCSEC_RAD, AU_KM

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from simulator.mission.clock import Clock
-from simulator.sky.apparent import apparent_directions
-from simulator.sky.light import bend_by_sun
-from simulator.sky.observer import observe
+from simulator.sky.apparent import apparent_directions, bend_by_sun
+from simulator.sky.ephemeris import observe
 from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import solar_system, sun_position_au
 from startracker.catalog import load_catalog

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from startracker.catalog import StarCatalog, merge_doubles
-from startracker.catalog.complete import match
+from startracker.catalog.hipparcos import match
 
 
 @st.composite

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 
 from startracker.detection import Background, find_components
-from startracker.detection.cosmic_rays import common_width
+from startracker.detection.artefacts import common_width
 from startracker.detection.forms import brightest_first
 from startracker.detection.matched import matched_kernel
 from startracker.detection.sources import SOURCE

@@ -10,6 +10,7 @@ from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.geometry.camera import Camera
 from startracker.identification import Observed, adaptive
+from startracker.identification.acceptance import verify
 from startracker.identification.bayes_factor import (
     DISTRACTORS,
     SCALE_LOG_PRIOR,
@@ -18,7 +19,6 @@ from startracker.identification.bayes_factor import (
     SEEN,
     largest_density,
 )
-from startracker.identification.hypothesis import verify
 from startracker.solution import Status
 
 

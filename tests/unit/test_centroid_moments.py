@@ -21,7 +21,7 @@ from startracker.centroid.bias import (
 from startracker.centroid.frame import SYSTEMATIC_PX, measure_psf_sigma
 from startracker.centroid.window import Peaks, Pixels, measure_stars, read_window
 from startracker.detection import Background, Spots, estimate, find_components
-from startracker.detection.plane import as_plane
+from startracker.detection.tiles import as_plane
 from startracker.errors import InputError
 from startracker.settings import CentroidSettings, DetectionSettings
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord, get_constellation
 
-from startracker.catalog.deep_sky import KINDS, deep_sky_directions, deep_sky_objects
+from startracker.catalog.names import KINDS, deep_sky_directions, deep_sky_objects
 
 OBJECTS = deep_sky_objects()
 

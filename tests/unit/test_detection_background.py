@@ -5,8 +5,7 @@ import pytest
 
 from startracker.detection import find_components
 from startracker.detection.background import as_image, estimate, noise_floor
-from startracker.detection.plane import fill_plane
-from startracker.detection.tiles import interpolate_tiles, smooth_tiles
+from startracker.detection.tiles import fill_plane, interpolate_tiles, smooth_tiles
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 from startracker.sorting import ranked

@@ -7,8 +7,7 @@ from scipy.special import erf
 
 from startracker.detection import Background, estimate, find_bad_pixels, find_clusters, mask_pixels
 from startracker.detection.clustering import adaptive_radius, cluster_pixels, merge_clusters
-from startracker.detection.objects import find_runs
-from startracker.detection.sources import SOURCE
+from startracker.detection.sources import SOURCE, find_runs
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 

@@ -6,8 +6,8 @@ from scipy import ndimage
 from scipy.special import erf
 
 from startracker.detection import METHODS, estimate, find_components
-from startracker.detection.cosmic_rays import common_width
-from startracker.detection.motion import agrees, common_motion, elongations, motion_at
+from startracker.detection.artefacts import common_width
+from startracker.detection.forms import agrees, common_motion, elongations, motion_at
 from startracker.settings import DetectionSettings
 
 SHAPE = (400, 500)

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from startracker.detection import estimate
-from startracker.detection.defects import fill_gaps, mask_extremes, mask_impulses
+from startracker.detection.artefacts import fill_gaps, mask_extremes, mask_impulses
 
 SIZE = 200
 

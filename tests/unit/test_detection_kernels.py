@@ -6,18 +6,24 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from startracker.detection.artefacts import peak_share
 from startracker.detection.background import Background, estimate
-from startracker.detection.cosmic_rays import peak_share
+from startracker.detection.classify import is_clutter, new_stamp
 from startracker.detection.forms import are_long, brightest_first, is_halo, measure_forms
-from startracker.detection.matched import filter_half, matched_kernel, quantiles
-from startracker.detection.objects import find_runs
-from startracker.detection.plane import Plane, as_plane, fill_plane, sample_plane
+from startracker.detection.matched import filter_half, filter_stamp, matched_kernel, quantiles, stamp_pitch
 from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import measure_shapes
-from startracker.detection.sources import SOURCE, Searched, join_tables
-from startracker.detection.stamps import filter_stamp, stamp_pitch
-from startracker.detection.surroundings import is_clutter, new_stamp
-from startracker.detection.tiles import find_kth, smooth_tiles, tile_statistics, whole_step
+from startracker.detection.sources import SOURCE, Searched, find_runs, join_tables
+from startracker.detection.tiles import (
+    Plane,
+    as_plane,
+    fill_plane,
+    find_kth,
+    sample_plane,
+    smooth_tiles,
+    tile_statistics,
+    whole_step,
+)
 from startracker.detection.values import as_image, as_pixels, is_value, whole_range
 
 

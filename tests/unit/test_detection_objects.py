@@ -7,8 +7,8 @@ from scipy.special import erf
 
 from startracker.detection import METHODS, Background, find_components, grow_regions
 from startracker.detection.background import estimate
-from startracker.detection.objects import cut_runs, find_runs, join_runs, measure_objects
 from startracker.detection.region_growing import grow_objects
+from startracker.detection.sources import cut_runs, find_runs, join_runs, measure_objects
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from startracker.detection import estimate
-from startracker.detection.structure import follow_structure, has_structure
+from startracker.detection.background import follow_structure, has_structure
 
 SIZE, NOISE = 320, 5.0
 

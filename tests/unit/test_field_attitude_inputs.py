@@ -7,8 +7,8 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker
 from startracker.errors import InputError
+from startracker.estimation.association import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.estimation.directions import fit_pairs
-from startracker.estimation.predicted_pixels import EXTRA_SIGMA, Displaced, seen_stars
 from startracker.estimation.refine import _first_fit
 from startracker.estimation.wahba import fit_rotation
 from startracker.inputs import SAME_STAR_PX, clean_centroids, stated_variance, usable_centroids

@@ -18,7 +18,7 @@ from startracker.flight.search_tables import TRIAD_BRIGHT, TRIAD_SHARE
 from startracker.flight.solver import FlightTracker
 from startracker.flight.triads import TriadWork, between, drop_disagreeing, elected, image_bearing
 from startracker.flight.votes import separations, tolerance
-from startracker.identification.hypothesis import SCALES
+from startracker.identification.acceptance import SCALES
 from startracker.identification.triad_search import TriadLimits, find_triads, image_pairs
 from startracker.identification.triad_tables import TriadTables
 from startracker.settings import TriadSettings

@@ -11,13 +11,14 @@ from startracker.geometry.distortion import Distortion
 from startracker.identification.unknown_scale.free_scale import fit_camera
 from startracker.identification.unknown_scale.quads import (
     QuadIndex,
+    all_stars,
     build_quads,
     neighbour_quads,
     pack_quads,
+    quad_index,
     sky_codes,
     unpack_quads,
 )
-from startracker.identification.unknown_scale.whole_sky import all_stars, quad_index
 
 
 def stars_of(camera, attitude, count=800):

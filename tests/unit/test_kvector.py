@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from startracker.identification.kvector import find_range, k_vector
+from startracker.identification.pairs import find_range, k_vector
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from startracker.detection import Background
-from startracker.detection.light import Light
+from startracker.detection.background import Light
 
 SIZE = 300
 

@@ -11,8 +11,14 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.directions import focal_slopes
 from startracker.geometry.camera import Camera
 from startracker.identification.bayes_factor import count_table
-from startracker.identification.occupancy import NO_OCCUPANCY, is_occupied, occupancy_map
-from startracker.identification.other_stars import enough_matches, other_stars, room
+from startracker.identification.other_stars import (
+    NO_OCCUPANCY,
+    enough_matches,
+    is_occupied,
+    occupancy_map,
+    other_stars,
+    room,
+)
 from startracker.identification.search_state import Stars
 
 

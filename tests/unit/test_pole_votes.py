@@ -11,10 +11,10 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.estimation.directions import focal_slopes
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
+from startracker.identification.acceptance import HypothesisPool, kernel_stars, verify
 from startracker.identification.adaptive import nearest_stars
 from startracker.identification.bayes_factor import count_table, largest_density
 from startracker.identification.candidate_search import Effort, Verifier
-from startracker.identification.hypothesis import HypothesisPool, kernel_stars, verify
 from startracker.identification.observed import Observed
 from startracker.identification.pairs import separation
 from startracker.identification.pole_votes import VOTE_SIGMAS, VoteCounts, pair_bearings, vote_about

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from startracker.detection.bad_pixels import BadPixelCount
+from startracker.detection.defect_map import BadPixelCount
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera

@@ -19,7 +19,7 @@ from simulator.study.coverage.survey import count_stars, coverage
 from simulator.study.result_files import write_study
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import field_of
-from startracker.catalog.voxels import voxel_grid
+from startracker.catalog.sky_view import voxel_grid
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera

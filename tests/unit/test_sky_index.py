@@ -6,7 +6,7 @@ import pytest
 
 from simulator.mission.clock import Clock
 from simulator.sky.apparent import SkyIndex, apparent_directions
-from simulator.sky.observer import observe
+from simulator.sky.ephemeris import observe
 from simulator.sky.parameters import Sky
 from simulator.sky.solar_system import sun_position_au
 from startracker.catalog import load_catalog

@@ -16,8 +16,7 @@ from simulator.mission.clock import Clock
 from simulator.optics.curves import Curve
 from simulator.sky.apparent import SkyIndex, apparent_directions
 from simulator.sky.colours import population_giant_share
-from simulator.sky.ephemeris import sky_time
-from simulator.sky.observer import observe
+from simulator.sky.ephemeris import observe, sky_time
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.solar_system import RADIUS_KM, solar_system, sun_position_au

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from startracker.catalog.field_shape import field_shape, in_shape
-from startracker.catalog.voxels import star_within, stars_in_cone, voxel_grid
+from startracker.catalog.sky_view import field_shape, in_shape, star_within, stars_in_cone, voxel_grid
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
 

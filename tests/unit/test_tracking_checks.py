@@ -12,8 +12,8 @@ from startracker.errors import InputError
 from startracker.estimation.wahba import attitude_covariance
 from startracker.tracking import GyroNoise, Mekf, RateNoise
 from startracker.tracking.checked import checked_attitude, checked_covariance, checked_rate, checked_time
+from startracker.tracking.consistency import Scatter, at_least_stated
 from startracker.tracking.following import _fitting
-from startracker.tracking.scatter import Scatter, at_least_stated
 from startracker.tracking.standstill import StandstillWatch
 
 START = Attitude.from_radec_roll(10.0, -30.0, 200.0)

@@ -14,10 +14,9 @@ from startracker.identification.acceptance import log_chance
 from startracker.observer import Observer
 from startracker.tracker import StarTracker
 from startracker.tracking import TrackingSession
-from startracker.tracking.evidence import log_assignments
+from startracker.tracking.consistency import Scatter
 from startracker.tracking.looking import Expected, Sky, look, window_half
-from startracker.tracking.matching import Match, match_gated, spreads, track
-from startracker.tracking.scatter import Scatter
+from startracker.tracking.matching import Match, log_assignments, match_gated, spreads, track
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
 
 CAMERA = Camera.from_fov(10.0, 256, 256)

@@ -7,9 +7,9 @@ import pytest
 
 from startracker.errors import InputError
 from startracker.tracking.consistency import InnovationWindow
-from startracker.tracking.frame_clock import FrameClock
 from startracker.tracking.mekf import Innovation, chi_square_limit
-from startracker.tracking.repeats import FrameMemory, list_key
+from startracker.tracking.standstill import FrameMemory, list_key
+from startracker.tracking.state import FrameClock
 
 
 def test_list_is_known_in_any_order_and_not_when_one_digit_differs():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from startracker.detection.plane import Plane, as_plane, fill_plane
+from startracker.detection.tiles import Plane, as_plane, fill_plane
 from startracker.trails.lines import best_lines, bin_residual
 from startracker.trails.model import (
     ANGLE,

@@ -14,7 +14,7 @@ from simulator import Renderer, Scenario
 from startracker import Attitude, Camera, Observer, StarTracker, Status, TrackingSession
 from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.about_knot import about_knot
-from startracker.identification.hypothesis import verify
+from startracker.identification.acceptance import verify
 from startracker.identification.observed import Identification, Observed
 from startracker.unexplained import LARGEST_CONTRAST, is_part_hidden, unexplained_of
 

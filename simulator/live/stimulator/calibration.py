@@ -21,7 +21,7 @@ from simulator.live.stimulator.photometry_fit import Exposures, PhotometryFit, f
 from simulator.live.stimulator.picture import Stimulator
 from startracker._version import __version__
 from startracker.arguments import file_path, names_of, of_kind, real_number
-from startracker.calibration.camera_file import rounded
+from startracker.calibration.result import rounded
 from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.errors import InputError
 from startracker.files import read_yaml

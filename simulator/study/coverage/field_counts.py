@@ -1,7 +1,7 @@
 """Stars in the field at many attitudes.
 
-Stars are given as unit vectors with their grid (`startracker.catalog.voxels`), the field as its outline
-(`startracker.catalog.field_shape`). The nadir and the cosine of the Earth's angular radius at each attitude define the
+Stars are given as unit vectors with their grid (`startracker.catalog.sky_view`), the field as its outline
+(`startracker.catalog.sky_view`). The nadir and the cosine of the Earth's angular radius at each attitude define the
 occultation; a cosine above 1 omits the Earth.
 """
 
@@ -11,8 +11,7 @@ import math
 
 import numpy as np
 
-from startracker.catalog.field_shape import FieldShape, field_shape, in_shape
-from startracker.catalog.voxels import VoxelGrid, stars_in_cone
+from startracker.catalog.sky_view import FieldShape, VoxelGrid, field_shape, in_shape, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.kernels import kernel

@@ -24,7 +24,7 @@ from simulator.study.specification.requirements import specification_of
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.guide import RESOLVED_PX
-from startracker.catalog.voxels import voxel_grid
+from startracker.catalog.sky_view import voxel_grid
 from startracker.core import IntArray
 from startracker.errors import InputError
 

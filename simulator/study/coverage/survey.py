@@ -32,10 +32,9 @@ from simulator.study.specification.verdicts import Judgement, judge
 from startracker._version import __version__
 from startracker.catalog import load_catalog
 from startracker.catalog.doubles import merge_doubles
-from startracker.catalog.field_shape import FieldShape
 from startracker.catalog.guide import RESOLVED_PX
+from startracker.catalog.sky_view import FieldShape, voxel_grid
 from startracker.catalog.stars import StarCatalog
-from startracker.catalog.voxels import voxel_grid
 from startracker.core import FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.errors import InputError

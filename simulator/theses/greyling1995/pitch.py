@@ -12,7 +12,7 @@ from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from startracker.core import FloatArray
-from startracker.estimation.star_pair import pitch_error_deg, star_pair
+from startracker.estimation.two_directions import pitch_error_deg, star_pair
 
 ACCURACY_DEG = 0.002
 """Centroid accuracy on each axis: 0.1 pixels of 10°/512."""

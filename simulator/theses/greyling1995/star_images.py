@@ -18,7 +18,7 @@ from startracker.centroid.bias import moment_bias
 from startracker.centroid.window import Pixels, read_window
 from startracker.core import FloatArray
 from startracker.detection import find_components
-from startracker.detection.plane import as_plane
+from startracker.detection.tiles import as_plane
 from startracker.front_end import Clock, find_stars
 from startracker.inputs import GivenImage
 from startracker.settings import CentroidSettings, DetectionSettings

@@ -1,4 +1,4 @@
-"""Patterns of four stars whose shape does not depend on scale, and an index of them over the whole sky.
+"""Patterns of four stars whose shape does not depend on scale, and their index over the whole sky.
 
 The two stars farthest apart, A and B, define a frame with A = (0, 0) and B = (1, 1); the positions of the other two,
 C and D, are the pattern's code (four numbers). The order is fixed by x_C ≤ x_D and x_C + x_D ≤ 1. Shift, rotation and
@@ -12,7 +12,9 @@ Source: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, sections 2.1 an
 
 from __future__ import annotations
 
+import functools
 import math
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -22,8 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from startracker.catalog.guide import brightest_everywhere
+from startracker.catalog import cache, load_catalog
+from startracker.catalog.guide import GuideDatabase, brightest_everywhere
+from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray, IntArray
+from startracker.geometry.camera import Camera
 
 NEIGHBOURS = 6
 STARS_IN_CIRCLE = 10
@@ -201,3 +206,37 @@ def unpack_quads(stored: Mapping[str, NDArray[Any]], directions: FloatArray) -> 
     chord = np.linalg.norm(positions[quads[:, 0]] - positions[quads[:, 1]], axis=1)
     baseline = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
     return QuadIndex.of(codes, quads, baseline.astype(np.float32))
+
+
+_MAGNITUDE_LIMIT = 9.0
+_REFERENCE = Camera.from_fov(4.0, 1024, 1024)  # the finest: doubles closer than 28″ are one
+_CACHE_KEY = "quads-2"
+
+
+@functools.lru_cache(maxsize=16)
+def brightest_stars(catalog: str | StarCatalog, depth: int) -> GuideDatabase:
+    """The `depth` brightest of them."""
+    return all_stars(catalog).brightest(depth)
+
+
+@functools.cache
+def all_stars(catalog: str | StarCatalog) -> GuideDatabase:
+    """Guide stars to V = 9 for every field, brightest first."""
+    return GuideDatabase.build(
+        load_catalog(catalog) if isinstance(catalog, str) else catalog, _REFERENCE, _MAGNITUDE_LIMIT
+    )
+
+
+@functools.cache
+def quad_index(catalog: str | StarCatalog) -> QuadIndex:
+    """Patterns of the whole sky; made in about two seconds, then kept in the user's cache folder (24 MB)."""
+    stars = all_stars(catalog)
+    # the stars' number and positions are part of the name: another edition of the catalogue has another index
+    mark = zlib.crc32(np.ascontiguousarray(stars.directions).tobytes())
+    key = f"{_CACHE_KEY}-{mark:08x}"
+    stored = cache.load_arrays(key)
+    if stored is None or not {"codes", "low", "high"} <= stored.keys():
+        codes, quads, _ = build_quads(stars.directions)
+        stored = pack_quads(codes, quads)
+        cache.store_arrays(key, stored)
+    return unpack_quads(stored, stars.directions)
