@@ -18,10 +18,11 @@ from simulator.mission.orbit import PROPAGATORS
 from simulator.mission.pointing import MOUNTINGS
 from simulator.optics.psf import PSFS
 from simulator.sky.spectra import SPECTRA
-from startracker import Attitude, Camera, StarTracker, detection, estimation, identification, registry
+from startracker import Attitude, Camera, StarTracker, detection, estimation, identification
 from startracker import centroid as centroiding
 from startracker.catalog import CATALOGS
 from startracker.observer import unknown_aberration
+from startracker.settings import registry
 from startracker.tracking import TrackingSession
 
 CAMERA = Camera.from_fov(12.0, 512, 512)
