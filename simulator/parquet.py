@@ -18,7 +18,7 @@ def read_parquet(path: Path) -> dict[str, list[Any]]:
     Raises
     ------
     InputError
-        If the file cannot be read, is no Parquet table, or has more than `MOST_ROWS` rows.
+        If the file cannot be read, is not a Parquet table, or has more than `MOST_ROWS` rows.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -33,7 +33,7 @@ def read_parquet(path: Path) -> dict[str, list[Any]]:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:
         reason = getattr(error, "strerror", None)
-        what = f"cannot be read ({reason})" if reason else "is no Parquet table, or is truncated"
+        what = f"cannot be read ({reason})" if reason else "is not a Parquet table, or is truncated"
         raise InputError(f"{path}: {what}") from error
     return {name: _values(column) for name, column in zip(table.column_names, table.columns, strict=True)}
 

@@ -238,7 +238,7 @@ class SceneBuilder:
         now = self.instant(index) if given.at_s is None else self.instant_at(float(given.at_s))
         observer, sun_au = now.observer, now.sun_au
         pointing = self._pointing(now, streams("pointing"), given)
-        pointing, jitter = self._shaken(pointing, streams, given.jitter, exposure_s)
+        pointing, jitter = self._jittered(pointing, streams, given.jitter, exposure_s)
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)
         boresight = pointing.camera.boresight
@@ -345,7 +345,7 @@ class SceneBuilder:
             return given.series.section(jitter, rng, exposure_s + given.exposure_margin_s, matrix)
         return draw_jitter(jitter, given.spectrum, rng, matrix)
 
-    def _shaken(
+    def _jittered(
         self, pointing: Pointing, streams: Streams, jitter: JitterMotion | None, exposure_s: float
     ) -> tuple[Pointing, JitterMotion | None]:
         """True attitude including the mean jitter over the exposure, and the remaining jitter about it."""
@@ -356,8 +356,8 @@ class SceneBuilder:
             return pointing, None
         mean = Attitude.from_rotation_vector(jitter.mean(exposure_s), "camera", "camera")
         camera = mean @ pointing.camera
-        shaken = replace(pointing, camera=camera, body=pointing.mounting.inverse @ camera)
-        return shaken, jitter.centred(exposure_s)
+        jittered = replace(pointing, camera=camera, body=pointing.mounting.inverse @ camera)
+        return jittered, jitter.centred(exposure_s)
 
     def _towards_target(self, observer: Observer, sun_au: FloatArray, bodies: Bodies) -> Attitude:
         """Nominal camera attitude on the target."""

@@ -101,7 +101,7 @@ class FreeSearch:
             status = Status.TOO_FEW_STARS if len(xy) else Status.NO_STARS
             reason = f"{len(xy)} stars detected; {needed} are needed if the focal length is unknown"
             return Solution(status, reason, centroids=xy)
-        sky = all_stars(self.catalog).seen_by(self.observer)
+        sky = all_stars(self.catalog).apparent_to(self.observer)
         limit = log_limit(self.settings)
         best: FreeFit | None = None
         for corner_k1, widen in self._passes():

@@ -23,7 +23,7 @@ from startracker.detection.values import Image
 from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
 from startracker.geometry.camera import Camera
-from startracker.inputs import GivenImage, Survey, says_saturated, survey
+from startracker.inputs import CheckedImage, GivenImage, check_image, saturation_message
 from startracker.kernels import clock
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
@@ -122,7 +122,7 @@ def star_hypotheses(
     """
     trace = [] if trace is None else trace
     shape = None if camera is None else (camera.height, camera.width)
-    found, fault = survey(given.image, shape, given.saturation_dn)
+    found, fault = check_image(given.image, shape, given.saturation_dn)
     if found is None:
         yield FoundStars(status=Status.BAD_IMAGE, reason=fault)
         return
@@ -131,7 +131,7 @@ def star_hypotheses(
     if found.masked:
         trace.append(Step("image", f"{found.masked} pixels masked: their values cannot be caused by light"))
     if share > _WHITE_SHARE:
-        yield FoundStars(status=Status.SATURATED, reason=says_saturated(share, level))
+        yield FoundStars(status=Status.SATURATED, reason=saturation_message(share, level))
         return
     if found.highest == found.lowest:
         yield FoundStars(status=Status.NO_STARS, reason=f"every pixel is {found.highest:g}")
@@ -150,7 +150,7 @@ def star_hypotheses(
 
 
 def _detect(
-    found: Survey, detect: Detector, detection: DetectionSettings, saturation_dn: float | None, clock: Clock
+    found: CheckedImage, detect: Detector, detection: DetectionSettings, saturation_dn: float | None, clock: Clock
 ) -> tuple[Image, Background, Spots]:
     """Pixels (many hot pixels are masked), their background and the candidates."""
     pixels = found.pixels
@@ -178,7 +178,7 @@ class _FrameStars:
     """The stars of one frame as points and as trails; each is only measured on demand."""
 
     given: GivenImage
-    survey: Survey
+    checked: CheckedImage
     pixels: Image
     background: Background
     spots: Spots
@@ -264,8 +264,8 @@ class _FrameStars:
             Measured(stars.xy, stars.flux, variance, stars.covariance, stars.common_px2, stars.misfit, light),
             trailed,
             int(np.count_nonzero(stars.saturated)),
-            saturated_share=self.survey.saturated_share,
-            saturation_dn=self.survey.saturation_dn,
+            saturated_share=self.checked.saturated_share,
+            saturation_dn=self.checked.saturation_dn,
         )
 
 

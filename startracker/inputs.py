@@ -124,7 +124,7 @@ def plain(values: ArrayLike) -> NDArray[Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
+class CheckedImage:
     """A usable image as uint16 or float32, NaN where not finite or where light cannot cause the value (`masked` of
     them); its range; saturated fraction and saturation level; whether it contains NaN."""
 
@@ -149,8 +149,10 @@ def shape_fault(given: tuple[int, ...], shape: tuple[int, int] | None) -> str:
     return ""
 
 
-def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None) -> tuple[Survey | None, str]:
-    """Survey of an image, or None and the reason why it cannot be used.
+def check_image(
+    image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None
+) -> tuple[CheckedImage | None, str]:
+    """CheckedImage of an image, or None and the reason why it cannot be used.
 
     The saturation level is the given one, the largest value of an unsigned type, or the image's maximum.
     """
@@ -171,7 +173,7 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
         level = float(np.iinfo(as_given.dtype).max)
     if pixels.dtype.kind == "u" and level is not None:  # always finite, and their range takes a quarter of the time
         lowest, highest, full = whole_range(pixels, math.ceil(max(min(2.0**16, level), 0.0)))
-        return Survey(pixels, float(lowest), float(highest), full / pixels.size, level), ""
+        return CheckedImage(pixels, float(lowest), float(highest), full / pixels.size, level), ""
     plane = given if given.dtype.kind in "ui" else pixels
     lowest, highest = float(np.float32(plane.min())), float(np.float32(plane.max()))
     gaps = not (math.isfinite(lowest) and math.isfinite(highest))  # NaN makes both NaN
@@ -186,10 +188,10 @@ def survey(image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float
     if level is None:
         level = highest if highest > 0 else math.inf
     full = int(np.count_nonzero(pixels >= level)) if highest >= level else 0
-    return Survey(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
+    return CheckedImage(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 
-def says_saturated(share: float, level: float) -> str:
+def saturation_message(share: float, level: float) -> str:
     """Reason text for a saturated image."""
     return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; shorten the exposure"
 

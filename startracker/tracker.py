@@ -33,11 +33,18 @@ from startracker.front_end import Clock, FoundStars, star_hypotheses
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.identification.about_knot import about_knot
-from startracker.identification.acceptance import accepts, is_beyond_doubt
+from startracker.identification.acceptance import accepts, passes_confirmation_threshold
 from startracker.identification.around_prior import identify_around
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification.unknown_scale.free_scale import FEWEST_MATCHED
-from startracker.inputs import SATURATED_SHARE, given_image, prior_of, says_saturated, stated_variance, usable_centroids
+from startracker.inputs import (
+    SATURATED_SHARE,
+    given_image,
+    prior_of,
+    saturation_message,
+    stated_variance,
+    usable_centroids,
+)
 from startracker.observer import Observer, observer_of
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.settings.checks import BELOW_1, settings_or_default
@@ -170,7 +177,7 @@ class StarTracker:
         hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
         solution, found = self._best_hypothesis(chain((found,), hypotheses), hint, given.observer, clock, trace)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
-            reason = f"{says_saturated(found.saturated_share, found.saturation_dn)}; {solution.reason}"
+            reason = f"{saturation_message(found.saturated_share, found.saturation_dn)}; {solution.reason}"
             solution = replace(solution, status=Status.SATURATED, reason=reason)
         seen, saturated = len(found.stars.xy), found.saturated
         trace.append(partial(attitude_steps, solution))
@@ -213,7 +220,7 @@ class StarTracker:
         points, signal, rows = usable_centroids(xy, flux, self.camera)
         given = np.size(xy) // 2
         trace: Trace = [partial(listed_step, given, points, signal)]
-        guide, variance = self.guide.seen_by(observer), stated_variance(sigma_px, given, rows)
+        guide, variance = self.guide.apparent_to(observer), stated_variance(sigma_px, given, rows)
         measured = Measured(points, signal, variance)
         solution = self._solve(measured, as_prior(prior, prior_deg), observer, guide, clock, trace)
         reason, left_out = solution.reason, given - len(points)
@@ -238,7 +245,7 @@ class StarTracker:
         well, and the solution with the stronger evidence is returned. Fragments of trails lie close to their stars with
         a common offset: a solution from points is only accepted if they cannot be fragments.
         """
-        guide = self.guide.seen_by(observer)
+        guide = self.guide.apparent_to(observer)
         tried: list[tuple[FoundStars, Solution]] = []
         for found in hypotheses:
             solution = self._solve(found.stars, prior, observer, guide, clock, trace)
@@ -276,7 +283,7 @@ class StarTracker:
         free_fit: Solution | None = None
         if self.focal_error > 0.0 and len(stars.xy) >= FEWEST_MATCHED:
             free_fit = self._free_fit(stars, observer, clock, trace)
-            if is_beyond_doubt(free_fit, self.identification):
+            if passes_confirmation_threshold(free_fit, self.identification):
                 return replace(free_fit, times_ms=clock.times_ms())
         observed, usable, directions = self._observed(stars)
         if len(usable) > len(observed.vectors):

@@ -104,7 +104,7 @@ def test_solve_centroids_observed(timed):
         build_tracker(made.scenario, made.camera),
         Observer(2026.2, (10.0, -25.0, 12.0), (-0.9, 0.4, 0.2)),
     )
-    guide = tracker.guide.seen_by(observer)
+    guide = tracker.guide.apparent_to(observer)
 
     def field(index):
         rng = np.random.default_rng(index)

@@ -40,7 +40,7 @@ def utc_time(option: str, text: str) -> datetime:
     Raises
     ------
     InputError
-        For text that is no ISO 8601 time, or a time that does not exist.
+        For text that is not an ISO 8601 time, or a time that does not exist.
     """
     from simulator.scenario.fields import parse_utc
 
@@ -57,7 +57,7 @@ def picture_format(path: Path | None) -> str:
     Raises
     ------
     InputError
-        Where it cannot be written, or its suffix is no format.
+        Where it cannot be written, or its suffix is not a format.
     """
     from startracker.images.picture import FORMATS
 

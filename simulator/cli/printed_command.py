@@ -18,7 +18,7 @@ from startracker.errors import InputError
 if TYPE_CHECKING:
     from simulator.theses.printed import PrintedStudy
 
-WIDTH = 140  # columns of the table where the output is no terminal
+WIDTH = 140  # columns of the table where the output is not a terminal
 
 SectionName = Annotated[
     str | None, option("--section", "NAME", "Compute this section only; an unknown name lists the sections.")

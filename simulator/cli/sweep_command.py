@@ -21,7 +21,7 @@ from simulator.study.sweep.files import RESULT_FILES
 if TYPE_CHECKING:
     from simulator.study.sweep.run import Plan, Point, Sweep
 
-_WIDTH = 130  # columns of the tables where the output is no terminal
+_WIDTH = 130  # columns of the tables where the output is not a terminal
 MOST_ROWS = 60
 """Points that the terminal's table shows; all are in the files."""
 
@@ -102,7 +102,7 @@ def _print(sweep: Sweep, console: Console) -> None:
             console.print(f"Refused: {values}: {point['reason']}", markup=False)
     if table["interrupted"]:
         console.print(
-            f"Interrupted: {len(done)} of {len(table['points'])} points are finished and kept; run again to go on."
+            f"Interrupted: {len(done)} of {len(table['points'])} points are finished and kept; run again to continue."
         )
     for note in sweep.notes:
         console.print(note, markup=False, soft_wrap=True)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def open_console(width: int = 110, *, error: bool = False) -> Console:
-    """Console for tables, `width` columns wide where the output is no terminal; with `error` that for progress."""
+    """Console for tables, `width` columns wide where the output is not a terminal; with `error` that for progress."""
     from rich.console import Console
 
     return Console(stderr=error, highlight=False, width=None if is_terminal(sys.stdout) or error else width)

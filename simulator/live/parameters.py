@@ -113,7 +113,7 @@ class ParameterTable:
     def check(self, path: str, value: float) -> None:
         """`Refused` for an unknown path, or a value outside its range."""
         if path not in self._ranges:
-            raise Refused("invalid", f"path: '{path[:60]}' is no parameter of this mission; see welcome.parameters")
+            raise Refused("invalid", f"path: '{path[:60]}' is not a parameter of this mission; see welcome.parameters")
         span = self._ranges[path]
         if not span.minimum <= value <= span.maximum:
             raise Refused("invalid", f"{path}: {value:g} is outside {span.minimum:g} to {span.maximum:g}")

@@ -244,7 +244,7 @@ def _sequence(written: WrittenSegment) -> str:
     item = written.item("EULER_ROT_SEQ")
     axes = "".join(_AXES.get(letter, "?") for letter in item.value.upper())
     if len(axes) != 3 or "?" in axes or axes[0] == axes[1] or axes[1] == axes[2]:
-        raise InputError(f"{item.position}: '{item.value}' is no sequence of three rotations such as ZXZ or 321")
+        raise InputError(f"{item.position}: '{item.value}' is not a sequence of three rotations such as ZXZ or 321")
     return axes
 
 

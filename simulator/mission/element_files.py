@@ -61,8 +61,8 @@ def read_tle(path: Path, clock: Clock, wanted: str | int | None, max_age_days: f
     Raises
     ------
     InputError
-        With file and line: a line that is no TLE, a wrong check digit, an incomplete set, an ephemeris type other than
-        SGP4's; or no such object.
+        With file and line: a line that is not a TLE, a wrong check digit, an incomplete set, an ephemeris type other
+        than SGP4's; or no such object.
     """
     return _nearest(path, list(_two_lines(path)), clock, wanted, max_age_days)
 

@@ -51,7 +51,7 @@ def elapsed_s(clock: Clock, texts: Sequence[str], scale: str, positions: Sequenc
     whole = [column.astype(np.int32) for column in fields[:, :5].T]
     jd1, jd2, status = erfa.ufunc.dtf2d("UTC" if scale == "UTC" else "TAI", *whole, fields[:, 5])
     if (wrong := np.flatnonzero((status < 0) | (status > 1))).size:  # 1: after the table of leap seconds
-        raise InputError(f"{positions[wrong[0]]}: '{texts[wrong[0]]}' is no date and time of {scale}")
+        raise InputError(f"{positions[wrong[0]]}: '{texts[wrong[0]]}' is not a date and time of {scale}")
     tt1, tt2 = _to_tt(jd1, jd2, scale)
     first1, first2 = clock.tt_jd(0.0)
     return np.asarray(((tt1 - first1) + (tt2 - first2)) * SECONDS_PER_DAY)
@@ -70,7 +70,7 @@ def utc_days(text: str, position: str) -> tuple[float, float]:
     whole = [np.int32(part) for part in (year, month, day, hour, minute)]
     _, _, status = erfa.ufunc.dtf2d("UTC", *whole, second)
     if status < 0 or status > 1:
-        raise InputError(f"{position}: '{text}' is no date and time of UTC")
+        raise InputError(f"{position}: '{text}' is not a date and time of UTC")
     mjd_zero, mjd, _ = erfa.ufunc.cal2jd(*whole[:3])
     return float(mjd_zero + mjd), (3600.0 * hour + 60.0 * minute + second) / SECONDS_PER_DAY
 
@@ -108,7 +108,7 @@ def epoch_fields(text: str, position: str) -> tuple[float, ...]:
         date = np.datetime64(f"{year}-01-01") + np.timedelta64(int(day) - 1, "D")
         if str(date)[:4] == year:
             return tuple(float(part) for part in (year, str(date)[5:7], str(date)[8:10], *time))
-    raise InputError(f"{position}: '{text}' is no epoch such as 2026-03-21T12:00:00.000")
+    raise InputError(f"{position}: '{text}' is not an epoch such as 2026-03-21T12:00:00.000")
 
 
 def _to_tt(jd1: FloatArray, jd2: FloatArray, scale: str) -> tuple[FloatArray, FloatArray]:

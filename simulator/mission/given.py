@@ -53,7 +53,7 @@ class GivenTrajectory:
         """
         r, v = np.array(r_km, dtype=float), np.array(v_km_s, dtype=float)
         if not (r.shape == v.shape == (3,) and np.isfinite([r, v]).all() and r.any() and math.isfinite(t_s)):
-            raise InputError(f"a position {r} km with the velocity {v} km/s at {t_s} s is no state of a spacecraft")
+            raise InputError(f"a position {r} km with the velocity {v} km/s at {t_s} s is not a state of a spacecraft")
         self._t_s, self._r_km, self._v_km_s = t_s, r, v
 
     @property

@@ -96,7 +96,7 @@ def read_spk(path: Path, clock: Clock, target: str | int | None, centre: str) ->
     Raises
     ------
     InputError
-        For a file that is no kernel or is truncated, no such target, or a type, a frame or a centre that is not
+        For a file that is not a kernel or is truncated, no such target, or a type, a frame or a centre that is not
         supported.
     """
     segments = _segments(path)
@@ -124,7 +124,7 @@ def _segments(path: Path) -> list[Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give an SPK kernel") from error
     except Exception as error:  # jplephem lets errors of struct, NumPy and its own pass
-        raise InputError(f"{path}: is no SPK kernel, or is truncated ({error})") from error
+        raise InputError(f"{path}: is not an SPK kernel, or is truncated ({error})") from error
     if not kernel.segments:
         raise InputError(f"{path}: the kernel has no segments")
     return list(kernel.segments)

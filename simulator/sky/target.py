@@ -71,6 +71,6 @@ def body_direction(name: str, bodies: Bodies) -> FloatArray:
     """Apparent direction (3,) of a body; `InputError` if the scenario does not render bodies."""
     found = np.flatnonzero(bodies.name == name)
     if not len(found):
-        far = " and sky.earth: true (within a million km it is no body of the sky)" if name == "Earth" else ""
+        far = " and sky.earth: true (within a million km it is not a body of the sky)" if name == "Earth" else ""
         raise InputError(f"pointing.target: {name} is not rendered; set sky.planets: true{far}")
     return np.asarray(bodies.direction[found[0]])

@@ -41,7 +41,7 @@ class IdentifiedStars(Matches):
         if not np.isfinite(sigma_px).all():
             freedom = max(2 * len(stars) - 3, 1)
             sigma_px = np.full(len(stars), math.sqrt(float(np.sum(stars.residual_px**2)) / freedom))
-        directions = guide.seen_by(solution.observer).directions[guide.rows_of(stars.catalog_id)]
+        directions = guide.apparent_to(solution.observer).directions[guide.rows_of(stars.catalog_id)]
         return cls(stars.xy, directions, sigma_px, stars.catalog_id, stars.flux)
 
     def __len__(self) -> int:

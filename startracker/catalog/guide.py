@@ -157,7 +157,7 @@ class GuideDatabase:
         chosen = settings or IdentificationSettings()
         return _build(catalog, camera, float(magnitude_limit), chosen.close_pair_deg, chosen.close_pair_magnitude)
 
-    def seen_by(self, observer: Observer | None) -> GuideDatabase:
+    def apparent_to(self, observer: Observer | None) -> GuideDatabase:
         """The same stars for an observer: space motion, annual parallax and aberration of light."""
         if observer is None:
             return self

@@ -284,7 +284,7 @@ def _fill_starts(pixels: Pixels, peaks: Peaks, starts: Starts) -> None:
     for n in range(len(starts.x)):
         x, y = peaks.x[n], peaks.y[n]
         off = max(abs(starts.x[n] - x), abs(starts.y[n] - y))
-        # a moment that neighbours have drawn off is no start
+        # a moment that neighbours have drawn off is not a start
         if not math.isfinite(starts.x[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
             starts.x[n], starts.y[n] = x, y
         if peaks.saturated[n]:

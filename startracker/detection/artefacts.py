@@ -58,7 +58,7 @@ def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, 
     """A frame of such a range with NaN for the values that no light gives, and how many they are.
 
     Looked for only in a frame whose values extend beyond 1e5 times its noise from the median. Beyond that, what lies
-    above the first gap of a factor of 128 or more in the distances from the median is no light, as the image of a star
+    above the first gap of a factor of 128 or more in the distances from the median is not light, as the image of a star
     falls off gradually from pixel to pixel. The frame given stays as it is.
     """
     if pixels.dtype.kind == "u":

@@ -81,7 +81,7 @@ def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
     The image is cut into tiles of about `tile_px`; some 400 pixels of each, spread over all its rows, give a median
     and the 84 % quantile, then a mean and a standard deviation clipped three times at 3σ about the median, the latter
     corrected for the clipping. Tiles pass a 3×3 median, which a bright star or
-    the Moon does not survive, and are interpolated bilinearly between their centres; the level goes on
+    the Moon does not survive, and are interpolated bilinearly between their centres; the level continues
     linearly to the borders. The procedure is that of Bertin & Arnouts 1996 (SExtractor, section 4).
 
     The noise never falls below the rounding error of the image's own digitisation, step/√12, nor, in an image without
@@ -260,7 +260,7 @@ def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
 
 
 def _medians(bins: FloatArray) -> FloatArray:
-    """Medians of 5 × 5; outside, the map goes on point-symmetrically about its border, so that a slope stays one."""
+    """Medians of 5 × 5; outside, the map continues point-symmetrically about its border, so that a slope stays one."""
     from scipy import ndimage
 
     reach = min(_REACH_BINS, min(bins.shape) - 1)

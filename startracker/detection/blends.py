@@ -49,7 +49,7 @@ def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> f
     """Least signal on the straight line from one pixel to another.
 
     Between pixels of equal value, as on a saturated top, the line may step aside by one pixel: its stair-shaped border
-    is no valley.
+    is not a valley.
     """
     height, width = image.shape
     aside = 1 if image[y0, x0] == image[y1, x1] else 0

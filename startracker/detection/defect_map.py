@@ -182,7 +182,7 @@ class DefectMap:
     """Counts defective pixels in frames between which the sky has moved.
 
     A pixel is only counted if the stars at its position have moved by `shift_px` since it was last counted: a star that
-    stays on a pixel, or near the axis about which the camera rotates, is no defect.
+    stays on a pixel, or near the axis about which the camera rotates, is not a defect.
 
     Parameters
     ----------

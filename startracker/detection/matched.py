@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from startracker.detection.background import Background
 from startracker.detection.scan import kernel_half, runs_above, search_rows
 from startracker.detection.tiles import Plane
-from startracker.detection.values import Image, is_value, is_whole
+from startracker.detection.values import Image, is_integer, is_value
 from startracker.errors import InputError
 from startracker.kernels import kernel_part, pixel_kernel
 from startracker.sorting import ranked
@@ -56,7 +56,7 @@ def filter_stamp(
     _correlate(work, 0, half, pitch, work, square, side * pitch)
     _correlate(work, square, half, 1, out, 0, side * pitch - 2 * reach)
     inside = x0 >= radius and y0 >= radius and x0 + radius < width and y0 + radius < height
-    if not (is_whole(image) and inside):
+    if not (is_integer(image) and inside):
         for j in range(side):
             for i in range(side):
                 y, x = y0 - radius + j, x0 - radius + i

@@ -33,7 +33,7 @@ class Plane(NamedTuple):
     cell : int array, shape (H,)
         The line above each row.
     share : float32 array, shape (H,)
-        How far each row is from there to the next line; beyond 0 to 1 the map goes on linearly.
+        How far each row is from there to the next line; beyond 0 to 1 the map continues linearly.
     """
 
     lines: FloatImage
@@ -243,7 +243,7 @@ def _fill_statistics(
 
 
 def smooth_tiles(tiles: FloatArray) -> FloatArray:
-    """3×3 median over tiles (…, R, C); outside, the map goes on linearly, so that a plane stays as it is."""
+    """3×3 median over tiles (…, R, C); outside, the map continues linearly, so that a plane stays as it is."""
     rows, columns = tiles.shape[-2:]
     out = np.empty(tiles.shape)
     _smooth(tiles.reshape(-1, rows, columns), np.empty((rows + 2, columns + 2)), out.reshape(-1, rows, columns))
@@ -257,7 +257,7 @@ def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
         for r in range(rows):
             for c in range(columns):
                 padded[r + 1, c + 1] = tiles[n, r, c]
-        for side in range(2):  # the border goes on from the two lines beside it
+        for side in range(2):  # the border continues from the two lines beside it
             border, near, inwards = side * (rows + 1), 1 + side * (rows - 1), (1 - 2 * side) * min(1, rows - 1)
             for c in range(1, columns + 1):
                 padded[border, c] = 2.0 * padded[near, c] - padded[near + inwards, c]
@@ -297,7 +297,7 @@ def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64],
 def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: bool) -> Plane:
     """Bilinear interpolation between tile centres to (height, width).
 
-    Beyond the outermost centres the map goes on linearly or stays constant.
+    Beyond the outermost centres the map continues linearly or stays constant.
     """
     rows, columns = tiles.shape
     cell, _, share = _cells(rows, height, extrapolate)

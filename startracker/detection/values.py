@@ -57,13 +57,13 @@ def _is_value(pixel: Any) -> Callable[[Any], bool]:
     return always if isinstance(pixel, types.Integer) else finite
 
 
-def is_whole(image: Image) -> bool:
+def is_integer(image: Image) -> bool:
     """Whether an image holds integers; kernels know it when they are compiled."""
     return image.dtype.kind in "ui"
 
 
-@overload(is_whole)
-def _is_whole(image: Any) -> Callable[[Any], bool]:
+@overload(is_integer)
+def _is_integer(image: Any) -> Callable[[Any], bool]:
     whole = isinstance(image.dtype, types.Integer)
 
     def found(image: Any) -> bool:

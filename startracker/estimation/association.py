@@ -47,11 +47,11 @@ EXTRA_SIGMA = {
     )
     for rolls, moves, scales in itertools.product((False, True), repeat=3)
 }
-"""Prior standard deviations (E,) of the amplitudes of `seen_stars`."""
+"""Prior standard deviations (E,) of the amplitudes of `predicted_pixels`."""
 
 
 @kernel
-def seen_stars(
+def predicted_pixels(
     guides: IntArray,
     matrix: FloatArray,
     directions: FloatArray,
@@ -197,7 +197,7 @@ def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: 
 
 
 @kernel
-def named(
+def paired(
     xy: FloatArray,
     stated: FloatArray,
     index: IntArray,
@@ -263,7 +263,7 @@ def _is_within(xy: FloatArray, position: FloatArray, stated: FloatArray, factor:
     return bool(c * x * x - 2.0 * b * x * y + a * y * y <= REJECT_SIGMAS**2 * (a * c - b * b))
 
 
-def joined(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:
+def merge_pairs(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:
     """Pairs that are used, those named that share no star with them, both by centroid; and which are used."""
     other = ~(np.isin(named[:, 0], used[:, 0]) | np.isin(named[:, 1], used[:, 1]))
     pairs = np.concatenate([used, named[other]])

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from startracker.core import FloatArray, IntArray
-from startracker.geometry.linalg import cross, inverse, transform, turned
+from startracker.geometry.linalg import cross, inverse, rotated, transform
 from startracker.kernels import kernel, kernel_part
 
 _STEPS, _SETTLED_RAD = 12, 1e-9
@@ -99,7 +99,7 @@ def fit_turn(
     for i in range(3):
         turn[i], matrix[i, i] = start[i], 1.0
     for _ in range(_STEPS):
-        transform(turned(matrix, turn[0], turn[1], turn[2]), reference, predicted)
+        transform(rotated(matrix, turn[0], turn[1], turn[2]), reference, predicted)
         information, right = normal_equations(observed, observed, predicted, index, sigma, 3)
         for i in range(3):
             for j in range(3):
@@ -179,7 +179,7 @@ def fit_pairs(
     transform(matrix, known, moved)
     turn, covariance, _ = fit_turn(seen, error, moved, index, np.zeros((3, 3)), np.zeros(3))
     size = max(abs(turn[0]), abs(turn[1]), abs(turn[2]))
-    matrix = turned(matrix, turn[0], turn[1], turn[2])
+    matrix = rotated(matrix, turn[0], turn[1], turn[2])
     if not (size < _LARGEST_TURN_RAD and math.isfinite(covariance[0, 0])):
         matrix[0, 0] = math.nan
     return matrix, known

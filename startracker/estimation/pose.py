@@ -17,7 +17,7 @@ s²
     direction, as for undersampled images with coma;
 u
     smooth displacements B_i over the image: the focal length; two shears (with focal length and rotation any affine map
-    of the image, as caused by rotation during a rolling readout); and columns given by the caller (`seen_stars`).
+    of the image, as caused by rotation during a rolling readout); and columns given by the caller (`predicted_pixels`).
 
 For a given τ and a given set of columns the model is linear, and its posterior is known in closed form (O'Hagan &
 Forster 2004, *Kendall's Advanced Theory of Statistics 2B*, chapter 11). With V = diag(C_i + τ² T), H = [J B],

@@ -18,10 +18,10 @@ from startracker.estimation.association import (
     MARGIN_PX,
     Displaced,
     Field,
-    joined,
     matched_again,
-    named,
-    seen_stars,
+    merge_pairs,
+    paired,
+    predicted_pixels,
 )
 from startracker.estimation.directions import fit_pairs, focal_slopes, normal_equations
 from startracker.estimation.few_stars import of_unknown_errors, with_doubt
@@ -40,7 +40,7 @@ from startracker.estimation.pose import TRUSTED, Linearised, Pose, displacements
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import CX, WIDTH
-from startracker.geometry.linalg import solve, turned
+from startracker.geometry.linalg import rotated, solve
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
 
@@ -125,7 +125,7 @@ def refine(
     displaced = Displaced(camera.row_time_s != 0.0, observer is None, aberrated)
     field = _Field(xy, stated, known, camera, guide, free_focal, observer, as_assumed, displaced)
     fewest = min(len(pairs), _FEWEST_TO_REJECT)
-    fit = field.settled(used, matrix, fewest)
+    fit = field.iterated(used, matrix, fewest)
     if known:
         fit = field.weighed(fit, pairs, fewest)
         if FEWEST_STARS <= len(fit.used) <= MOST_STARS:
@@ -137,7 +137,7 @@ def refine(
         common_px2 = shift if stars.common_px2 is None else shift + stars.common_px2
         covariance = covariance + rotation_of_shift(common_px2, camera)
     if not np.array_equal(named[fits], used):
-        named, fits = joined(used, named)
+        named, fits = merge_pairs(used, named)
     residual = xy[named[:, 0]] - field.seen(named[:, 1], matrix)[0]
     return Refined(matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera)
 
@@ -154,7 +154,7 @@ def _matched(
 ) -> tuple[IntArray, FloatArray, Camera]:
     """Pairs that agree with the attitude of the previous pairs, iterated until unchanged; their attitude, and the
     camera."""
-    sky, fewest, settled, matrix = guide.directions, len(used), False, np.zeros((3, 3))
+    sky, fewest, iterated, matrix = guide.directions, len(used), False, np.zeros((3, 3))
     field = Field(sky, guide.grid, field_cosine(camera, MARGIN_PX), camera.image_map)
     for _ in range(12):
         matrix, reference = _first_fit(used, directions, sky, sigma, matrix)
@@ -163,13 +163,13 @@ def _matched(
             camera, matrix = _refocused(camera, matrix, xy[chosen], reference, sigma[chosen])
             directions = camera.unproject(xy)
             field = field._replace(cosine=field_cosine(camera, MARGIN_PX), image=camera.image_map)
-        if settled:
+        if iterated:
             break
-        fitting, settled = matched_again(used, matrix, reference, xy, sigma, known, field)
+        fitting, iterated = matched_again(used, matrix, reference, xy, sigma, known, field)
         if len(fitting) < min(fewest, _FEWEST_TO_REJECT):  # too few to find a false match: keep the identified ones
             break
         used = fitting
-        if settled and not free_focal:  # the next fit would be the same
+        if iterated and not free_focal:  # the next fit would be the same
             break
     if known and len(used) >= _FEWEST_TO_REJECT:  # bright stars show systematic errors: do not reject them yet
         wide = np.maximum(sigma, median(sigma[used[:, 0]]))
@@ -216,14 +216,14 @@ class _Field(NamedTuple):
         return self.camera.image_map[CX:WIDTH]
 
     def seen(self, guides: IntArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """`seen_stars` of this camera."""
+        """`predicted_pixels` of this camera."""
         sky, motion, row_time_s = self.guide.directions, self.guide.motion_axes, float(self.camera.row_time_s)
-        seen: tuple[FloatArray, FloatArray, FloatArray, FloatArray] = seen_stars(
+        seen: tuple[FloatArray, FloatArray, FloatArray, FloatArray] = predicted_pixels(
             guides, matrix, sky, motion, self.camera.image_map, row_time_s, self.displaced
         )
         return seen
 
-    def settled(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
+    def iterated(self, used: IntArray, matrix: FloatArray, fewest: int) -> _Fit:
         """Fits of the stars that agree with the previous fit, iterated until unchanged."""
         measured = self.xy
         pose, matrix, errors = self.fit(used, matrix, measured)
@@ -246,7 +246,7 @@ class _Field(NamedTuple):
             if len(fit.named) > MOST_STARS:
                 return self._with_all(fit, fewest)
             unchanged = len(pairs) <= len(fit.named) == np.count_nonzero(fit.fits)
-            stars = fit.named if unchanged else joined(pairs, fit.named)[0]
+            stars = fit.named if unchanged else merge_pairs(pairs, fit.named)[0]
             if unchanged and not is_suspicious(fit.pose, len(stars)):
                 return fit
             if not FEWEST_STARS <= len(stars) <= MOST_STARS:
@@ -255,7 +255,7 @@ class _Field(NamedTuple):
             if last or np.array_equal(fit.used, before.used):
                 return fit
             # the attitude may have been far off, and stars not identified
-            again = self.settled(fit.used, fit.matrix, len(fit.used))
+            again = self.iterated(fit.used, fit.matrix, len(fit.used))
             pairs, fit = fit.used, again if len(again.used) >= len(fit.used) else fit
         return fit
 
@@ -269,7 +269,7 @@ class _Field(NamedTuple):
         pose, used = average(given, fitted)
         _, errors = self._fitted(rows_of(given, np.flatnonzero(used)), xy[used])
         x, y, z = pose.turn.tolist()
-        return _Fit(pose, turned(fit.matrix, -x, -y, -z), errors, stars[used], fit.measured, stars, used)
+        return _Fit(pose, rotated(fit.matrix, -x, -y, -z), errors, stars[used], fit.measured, stars, used)
 
     def _with_all(self, fit: _Fit, fewest: int) -> _Fit:
         """The fit of all identified stars, if too many for blends do not fit and the evidence is not decisive: errors
@@ -277,7 +277,7 @@ class _Field(NamedTuple):
         stars = fit.named
         if len(stars) - np.count_nonzero(fit.fits) <= max(_MOST_BLENDS, (1.0 - _MOST_FIT) * len(stars)):
             return fit
-        other, weight = self.settled(stars, fit.matrix, fewest), []
+        other, weight = self.iterated(stars, fit.matrix, fewest), []
         for of in (fit, other):
             used, pose = np.isin(stars[:, 0], of.used[:, 0]), of.pose._replace(turn=np.zeros(3))
             weight.append(log_weight(self._linearised(stars, of.matrix, of.measured), used, pose))
@@ -304,7 +304,7 @@ class _Field(NamedTuple):
         field; from measured positions (N, 2), see `named`."""
         pose, errors = self._fitted(self._linearised(pairs, matrix, measured), measured[pairs[:, 0]])
         x, y, z = pose.turn.tolist()
-        return pose, turned(matrix, -x, -y, -z), errors
+        return pose, rotated(matrix, -x, -y, -z), errors
 
     def _fitted(self, given: Linearised, xy: FloatArray) -> tuple[Pose, ImageErrors]:
         """Pose of stars at measured positions (M, 2), and the errors common to the field."""
@@ -337,7 +337,7 @@ class _Field(NamedTuple):
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
         right = self._corrected(self.xy, errors)
         positions = pixels + displacements(offset, extra, pose.unknowns)
-        pairs, fits, merged = named(right, self.stated, index, positions, scale, pose.systematic_px2, near_px)
+        pairs, fits, merged = paired(right, self.stated, index, positions, scale, pose.systematic_px2, near_px)
         if right is not self.xy:
             merged = np.where(merged == right, self.xy, merged + (self.xy - right))
         return pairs, fits, merged
@@ -387,7 +387,7 @@ def _refocused(
         vectors, every = camera.unproject(xy), np.arange(len(xy))
         predicted, slopes = reference @ matrix.T, focal_slopes(vectors)
         change = solve(*normal_equations(vectors, slopes, predicted, every, sigma * camera.pixel_rad, 4))
-        matrix = turned(matrix, *change[:3])
+        matrix = rotated(matrix, *change[:3])
         factor = math.exp(change[3])
         camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
     return camera, matrix

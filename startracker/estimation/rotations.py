@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from startracker.core import FloatArray
-from startracker.geometry.linalg import inverse, turned
+from startracker.geometry.linalg import inverse, rotated
 
 _STEPS = 12
 _LARGEST_STEP = 0.3  # rad; limit of Newton's quadratic model of the cost
@@ -61,7 +61,7 @@ def polish(matrix: FloatArray, b: FloatArray, r: FloatArray, weight: FloatArray)
         if not size < min(_LARGEST_STEP, 0.5 * last):  # rounding, or no minimum nearby
             break
         last = size
-        matrix = turned(np.ascontiguousarray(matrix), *turn)
+        matrix = rotated(np.ascontiguousarray(matrix), *turn)
         if size < 1e-9:  # the next step would be 1e-18
             break
     return matrix

@@ -71,7 +71,7 @@ def guide_motion(guide: GuideDatabase) -> Integers:
     InputError
         For a star that moves by more than 12.6″ a year.
     """
-    before, after = (guide.seen_by(Observer(guide.epoch_jyear + years)) for years in (-_SPAN_YEARS, _SPAN_YEARS))
+    before, after = (guide.apparent_to(Observer(guide.epoch_jyear + years)) for years in (-_SPAN_YEARS, _SPAN_YEARS))
     yearly = (after.directions - before.directions) / (2.0 * _SPAN_YEARS)
     motion = np.rint(yearly * (1 << MOTION_BITS)).astype(np.int64)
     if len(motion) and np.abs(motion).max() > np.iinfo(np.int16).max:

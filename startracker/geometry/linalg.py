@@ -149,7 +149,7 @@ def rotate_back(matrix: FloatArray, vector: FloatArray) -> tuple[float, float, f
 
 
 @kernel
-def turned(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
+def rotated(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
     """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
     angle = math.sqrt(x * x + y * y + z * z)
     s, c = 1.0, 0.0

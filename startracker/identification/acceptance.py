@@ -71,7 +71,7 @@ def log_limit(settings: IdentificationSettings) -> float:
     return math.log(settings.false_alarm_rate)
 
 
-def is_beyond_doubt(
+def passes_confirmation_threshold(
     found: Identification | Solution, settings: IdentificationSettings, beyond: float = SURE_BEYOND
 ) -> bool:
     """Whether an answer is accepted with such a margin that no other search can find more evidence."""

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.core import FloatArray, IntArray
 from startracker.identification.acceptance import HypothesisPool, kernel_stars, too_few
-from startracker.identification.candidate_search import Effort, Verifier
+from startracker.identification.candidate_search import SearchBudget, Verifier
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.other_stars import MOST_STARS
 from startracker.identification.pole_votes import VOTE_SIGMAS, VoteCounts, pair_bearings, vote_about
@@ -209,7 +209,7 @@ class _Search:
         if self._exhausted():
             return True
         limits = self._limits(assumption)
-        effort = Effort(limits, _TRIANGLE_WORK, 0.0, _TRIANGLE_STAR_WORK)
+        effort = SearchBudget(limits, _TRIANGLE_WORK, 0.0, _TRIANGLE_STAR_WORK)
         diagonal = 2.0 * self._guide.half_diagonal_rad
         triples = first_triangles(self._stars.vectors, diagonal, assumption.triangles)
         while effort.tried < len(triples) and not effort.ended:
@@ -234,7 +234,7 @@ class _Search:
         nearest = self._nearest[:, : votes.neighbours]
         # besides the pair; one may be missing if there is time for its candidates
         enough = fewest - (2 if stated and votes.cut_short else 3)
-        effort = Effort(limits, _POLE_WORK, 1.0, _POLE_STAR_WORK, enough=enough)
+        effort = SearchBudget(limits, _POLE_WORK, 1.0, _POLE_STAR_WORK, enough=enough)
         for pole in pole_order(votes.poles, len(self._nearest)):
             if effort.ended:
                 break

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from startracker.catalog.guide import GuideDatabase
-from startracker.identification.acceptance import WITHIN_PRIOR_BEYOND, is_beyond_doubt
+from startracker.identification.acceptance import WITHIN_PRIOR_BEYOND, passes_confirmation_threshold
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status
@@ -26,7 +26,11 @@ def identify_around(
 ) -> tuple[Identification, bool]:
     """The result with the stronger evidence, and whether it contradicts the prior."""
     found = identify(observed, guide, settings, prior)
-    if prior is None or found.status not in _DOUBTFUL or is_beyond_doubt(found, settings, WITHIN_PRIOR_BEYOND):
+    if (
+        prior is None
+        or found.status not in _DOUBTFUL
+        or passes_confirmation_threshold(found, settings, WITHIN_PRIOR_BEYOND)
+    ):
         return found, False
     elsewhere = identify(observed, guide, settings, None)
     operations = found.operations + elsewhere.operations

@@ -96,21 +96,21 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
     if not math.isfinite(zero):
         return out
     stride = max(1, len(field_v) // _SAMPLE)
-    anyhow, most = np.empty(len(SCATTERS_MAG)), np.zeros(len(SCATTERS_MAG))
+    by_chance, most = np.empty(len(SCATTERS_MAG)), np.zeros(len(SCATTERS_MAG))
     for k in range(len(seen)):
-        anyhow[:] = 0.0
+        by_chance[:] = 0.0
         count = 0
         for g in range(0, len(field_v), stride):
             d = magnitude[seen[k]] - zero - field_v[g]
             wide = _wide(d)
             for s in range(len(SCATTERS_MAG)):
-                anyhow[s] += _core(d, SCATTERS_MAG[s]) + wide
+                by_chance[s] += _core(d, SCATTERS_MAG[s]) + wide
             count += 1
         d = difference[k] - zero
         wide = _wide(d)
         for s in range(len(SCATTERS_MAG)):
             likely = _core(d, SCATTERS_MAG[s]) + wide
-            out[s, seen[k]] = math.log((likely + _FLOOR) / (anyhow[s] / count + _FLOOR))
+            out[s, seen[k]] = math.log((likely + _FLOOR) / (by_chance[s] / count + _FLOOR))
             most[s] = max(most[s], out[s, seen[k]])
     for s in range(len(SCATTERS_MAG)):
         out[s, seen[0]] -= most[s]

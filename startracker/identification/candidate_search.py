@@ -28,7 +28,7 @@ _MAP_WORK = 20.0
 
 
 @dataclass
-class Effort:
+class SearchBudget:
     """What one search may do, and what it has done.
 
     Parameters
@@ -120,7 +120,7 @@ class Verifier:
         self.pool, self._sky, self._stars = pool, guide.view, stars
         self._known, self._latest = np.empty((0, 3, 3)), list[FloatArray]()
 
-    def map_sky(self, effort: Effort, many: int, lever: float) -> None:
+    def map_sky(self, effort: SearchBudget, many: int, lever: float) -> None:
         """Make an occupancy map once there were many candidates, for stars whose position has an error of `lever` times
         their own."""
         if effort.occupancy.reach2 > 0.0 or effort.found < many:
@@ -129,7 +129,7 @@ class Verifier:
         effort.occupancy = occupancy_map(self._sky.directions, lever * gate * median(self._stars.sigma.copy()))
         effort.work += _MAP_WORK * len(self._sky.directions)
 
-    def take(self, candidates: Candidates, effort: Effort, work: float) -> None:
+    def take(self, candidates: Candidates, effort: SearchBudget, work: float) -> None:
         """Verify those candidates that other stars confirm."""
         effort.work += work
         effort.found += len(candidates.focal)
@@ -146,7 +146,7 @@ class Verifier:
                 self.pool.add(hypothesis_of(found))
                 effort.decided |= found.log_b > self.pool.decisive_evidence
 
-    def note(self, effort: Effort, words: Callable[[], str]) -> bool:
+    def note(self, effort: SearchBudget, words: Callable[[], str]) -> bool:
         """Note what a search did; whether the pool is decided, so that further searches are not needed."""
         self.pool.operations += int(effort.work)
         found, kept = effort.found, effort.kept

@@ -10,7 +10,7 @@ import numpy as np
 from startracker.catalog.sky_view import SkyView, star_within
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import normal_equations, pair_rotation
-from startracker.geometry.linalg import chord, rotate_back, solve, transform, triple_product, turned
+from startracker.geometry.linalg import chord, rotate_back, rotated, solve, transform, triple_product
 from startracker.identification.pattern_table import BINS, EMPTY, SIZE_STEPS, PatternTable, home_slot, sorted_edges
 from startracker.identification.verification import is_known, rotation_cosine
 from startracker.kernels import kernel, kernel_part
@@ -210,7 +210,7 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
     for _ in range(3):
         transform(matrix, reference, predicted)
         change = solve(*normal_equations(observed, observed, predicted, every, sigma, 3))
-        matrix = turned(matrix, change[0], change[1], change[2])
+        matrix = rotated(matrix, change[0], change[1], change[2])
     return matrix
 
 

@@ -330,8 +330,8 @@ def search_pyramids(
 
     Returns
     -------
-    Triple to go on from; finds; their attitudes (_MOST_FINDS, 3, 3); confirming stars of each, most first; budget left.
-    No finds: none was confirmed, or the budget is used up.
+    Triple to continue from; finds; their attitudes (_MOST_FINDS, 3, 3); confirming stars of each, most first; budget
+    left. No finds: none was confirmed, or the budget is used up.
     """
     finds = _Finds(np.empty((_MOST_FINDS, 3, 3)), np.zeros(_MOST_FINDS, np.int64), np.zeros(1, np.int64))
     t = start

@@ -11,7 +11,7 @@ from startracker.catalog.sky_view import SkyView, in_shape, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.association import nearest_unique
 from startracker.estimation.directions import normal_equations
-from startracker.geometry.linalg import rotate_back, solve, transform, turned
+from startracker.geometry.linalg import rotate_back, rotated, solve, transform
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
@@ -174,7 +174,7 @@ def _settle(
         change = solve(normal, right)
         if not math.isfinite(change[0]) or abs(change[0]) + abs(change[1]) + abs(change[2]) > _DIVERGED_RAD:
             return _Fit(matrix, focal, observed, index, 0, round_ + 1)
-        matrix = turned(matrix, change[0], change[1], change[2])
+        matrix = rotated(matrix, change[0], change[1], change[2])
         if unknowns == 4:
             focal += change[3]
             observed = _focused(stars, focal)

@@ -91,14 +91,14 @@ class Sky:
         beta = np.zeros(3)
         if observer is not None and observer.velocity_km_s is not None:
             beta = np.asarray(observer.velocity_km_s, dtype=float) / SPEED_OF_LIGHT_KM_S
-        index, directions, predicted = expected_stars(matrix, self._seen_by(observer), beta, most)
+        index, directions, predicted = expected_stars(matrix, self._apparent_to(observer), beta, most)
         if observer is not None:
             beside = beside_bodies(directions, observer, self.pixel_rad)
             if beside.any():
                 index, directions, predicted = index[~beside], directions[~beside], predicted[~beside]
         return Expected(index=index, directions=directions, predicted=predicted)
 
-    def _seen_by(self, observer: Observer | None) -> SkyView:
+    def _apparent_to(self, observer: Observer | None) -> SkyView:
         if observer is None:
             at = (self.guide.epoch_jyear, False)
         else:

@@ -16,7 +16,7 @@ import numpy as np
 from startracker.catalog.sky_view import SkyView, in_shape, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import fit_turn
-from startracker.geometry.linalg import cross, inverse, rotate_back, transform, turned
+from startracker.geometry.linalg import cross, inverse, rotate_back, rotated, transform
 from startracker.kernels import kernel, kernel_part
 from startracker.observer import aberrated
 from startracker.sorting import order_of, sort
@@ -72,7 +72,7 @@ def log_evidence(
     """ln B of a match: see `startracker.tracking.matching.track`, for the names of the arguments."""
     loss, rank, order = np.empty(len(index)), np.empty_like(index), np.empty_like(index)
     moved, count, prior = np.empty_like(predicted), 0, 0.0
-    transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
+    transform(rotated(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
     for i in range(len(index)):
         if index[i] >= 0:
             p = moved[index[i]]
@@ -298,7 +298,7 @@ def track(
         turn, posterior, _ = fit_turn(observed, sigma, predicted, match.partner, precision, turn)
     last, information = np.full(n, -2), precision
     for round_ in range(_ROUNDS):
-        transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
+        transform(rotated(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
         spread = spreads(moved, posterior)
         if match_gated(observed, sigma, moved, spread, GATE2 if round_ == 0 else KEEP2, match) == 0:
             return match.partner, -turn, covariance, -math.inf
@@ -334,7 +334,7 @@ def _consensus(
             if starts > _MOST_STARTS:
                 return best_turn
             _turn_of_one(covariance, spread, j, s2, (a, b), turn, left)
-            transform(turned(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
+            transform(rotated(np.eye(3), turn[0], turn[1], turn[2]), predicted, moved)
             after = spreads(moved, left)
             count = match_gated(observed, sigma, moved, after, GATE2, match)
             # the weight of a match decreases with the logarithm of the area of its gate

@@ -22,7 +22,7 @@ LONGEST_SHARE = 0.3
 _OFF_LINE_PX = 1.5
 """A line of the search misses the end of a trail by no more than this."""
 _CLIP = 4.0
-"""Noise in a bin at most counted: what is no trail (a star, a cosmic ray) is far brighter than long, and must not be
+"""Noise in a bin at most counted: what is not a trail (a star, a cosmic ray) is far brighter than long, and must not be
 found in every line that runs across it."""
 COARSE_SIGMA = 5.5
 """Chance exceeds it in some ten million positions and lines about once in five frames; then four must fit a motion."""

@@ -43,7 +43,7 @@ _BLUR_SIGMAS = 6.0
 """Largest blur of both ends together in widths of the star image: three widths beyond an end a trail that has 1,000
 times the noise is as bright as the noise."""
 _CUT_PX = 4.0
-"""A trail that ends nearer to the border may go on beyond."""
+"""A trail that ends nearer to the border may continue beyond."""
 _LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1
 """What else trails may differ by: a flat image stretches towards its corners by the square of the angle."""
 
@@ -106,7 +106,7 @@ def within(signal: Signal, table: FloatArray, margin: FloatArray | float) -> Fla
     return np.asarray(inside.all(axis=1))
 
 
-def _is_whole(signal: Signal, line: FloatArray) -> bool:
+def _is_integer(signal: Signal, line: FloatArray) -> bool:
     """Whether a line (7,) has both ends inside the image by `_CUT_PX`."""
     height, width = signal.residual.shape
     x, y, _, _, angle, half, _ = line.tolist()  # numbers: arrays of one line take twenty times as long
@@ -162,7 +162,7 @@ def _straightened(signal: Signal, lines: FloatArray, sigma: float, lengths: IntA
         score, middle = best_stretches(total, lengths)
         best = int(np.argmax(score))
         _move(made, middle[best], lengths[best])
-        if score[best] >= COARSE_SIGMA and _is_whole(signal, made):
+        if score[best] >= COARSE_SIGMA and _is_integer(signal, made):
             found.append((made, score, middle - middle[best]))
         if len(found) == _ENOUGH:
             break
@@ -212,7 +212,7 @@ def _fitted(
         made, covariance, chi2, _ = fit_trail(
             signal.residual, signal.noise, start, LINE, 3.0 + 0.05 * start[HALF], signal.inverse_gain
         )
-        if chi2 < math.inf and _is_whole(signal, made):
+        if chi2 < math.inf and _is_integer(signal, made):
             fits.append(made)
             errors.append(4.0 * chi2 * np.array([covariance[HALF, HALF], made[HALF] ** 2 * covariance[ANGLE, ANGLE]]))
     if len(fits) < _FEWEST:

@@ -1,4 +1,4 @@
-"""What is no sky ends in a status and a reason: never in an exception from inside, never in an attitude.
+"""What is not a sky ends in a status and a reason: never in an exception from inside, never in an attitude.
 
 Pictures are drawn here, so that nothing but this file is needed: an animal's face, a town by night, a page of text,
 waves, noise. Every one goes through the command line as a user would give it, without a hint and with one.

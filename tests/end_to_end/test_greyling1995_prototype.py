@@ -46,7 +46,7 @@ def test_rows(section):
     assert q2.computed == "11 as printed, 12 corrected"
     assert "to T2, but the table has T0" in q2.why
     assert row(section, "state machine").computed == "9.524 kHz"
-    # what the thesis gives no number for is no comparison; a tenth of a pixel from 8 bits on, not from 2
+    # what the thesis gives no number for is not a comparison; a tenth of a pixel from 8 bits on, not from 2
     trials = converter_trials()
     for bits in (2, 8, 12):
         assert row(section, f"with {bits} bits").verdict == "not printed"

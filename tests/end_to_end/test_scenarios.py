@@ -95,7 +95,7 @@ def test_few_stars_among_many_hot_pixels():
 
 @pytest.mark.parametrize("psf_sigma_px", [0.45, 0.9])
 def test_stars_drawn_out_by_a_few_pixels(psf_sigma_px):
-    """5 to 9 px, with images sharper than a pixel too: such streaks were left out one by one, as what is no star."""
+    """5 to 9 px, with images sharper than a pixel too: such streaks were left out one by one, as what is not a star."""
     rates = {"optics.psf.sigma_px": psf_sigma_px, "pointing.rate_deg_s": "[0.4, 0.2, 0.1]", "seed": 5}
     scenario = Scenario.load("cubesat_ideal", overrides=[f"{key}={value}" for key, value in rates.items()])
     columns = run(scenario, trials=20).columns

@@ -6,7 +6,7 @@ console  commands after ``$``, run as they stand; below them what they print, co
 python   run, all blocks of a page in one namespace
 yaml     keys of a scenario, checked on top of ``cubesat``
 toml     parsed
-text     what is no code
+text     what is not a code
 ======== ===========================================================================================================
 
 A comment before a block changes this: ``<!-- not run: reason -->``; ``<!-- file: NAME -->`` saves the block under this
@@ -158,7 +158,7 @@ def run_command(words: list[str]) -> str:
     Raises
     ------
     AssertionError
-        If it fails, or is no command that a block may have without the mark ``not run``.
+        If it fails, or is not a command that a block may have without the mark ``not run``.
     """
     if words[:2] == ["make", "-C"]:
         done = subprocess.run(words, capture_output=True, text=True, check=False)

@@ -8,7 +8,7 @@ from startracker.flight.directions import plane_of, vectors_of
 from startracker.flight.evidence import sight
 
 
-def seen_by(tracker, stars):
+def apparent_to(tracker, stars):
     """Stars of a list as the search of a `FlightTracker` takes them."""
     plane, inside = plane_of(np.column_stack([stars.x, stars.y]), tracker.grid)
     return sight(stars, vectors_of(plane, tracker.grid), inside, tracker.search_tables)

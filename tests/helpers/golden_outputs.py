@@ -334,7 +334,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("groups", nargs="*", choices=[*GROUPS, []], default=[], metavar="GROUP", help=", ".join(GROUPS))
     parser.add_argument("--write", action="store_true", help="write the files")
-    parser.add_argument("--rtol", type=float, default=0.0, help="relative error of numbers that is no difference")
+    parser.add_argument("--rtol", type=float, default=0.0, help="relative error of numbers that is not a difference")
     asked = parser.parse_args()
     different = 0
     for group in asked.groups or GROUPS:

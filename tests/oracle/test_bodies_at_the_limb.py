@@ -53,7 +53,7 @@ def test_share_of_the_sun_is_a_segment_and_the_published_penumbra(height, r_km):
     share = unhidden(sun, r_km, sun.direction[0], Sky())[0]
     s = max(min(height, 1.0), -1.0)
     segment = 1.0 - (math.acos(s) - s * math.sqrt(1.0 - s * s)) / math.pi
-    # the limb is no straight line: ½ a cot ρ radii at the rim, 0.1 % from 800 km, 1.5 % from the geostationary orbit
+    # the limb is not a straight line: ½ a cot ρ radii at the rim, 0.1 % from 800 km, 1.5 % from the geostationary orbit
     assert share == pytest.approx(segment, abs=2e-3 if r_km[0] < 1e4 else 8e-3)
     # shadow function of Montenbruck & Gill 2000, Satellite Orbits, chapter 3: overlap of two circles a and b, c apart
     b = math.tan(angular_radius_rad(r_km))  # the circle on the sphere that curves alike

@@ -79,7 +79,7 @@ def test_an_attitude_is_turned_by_its_catalogue():
         solution = tracker.solve_centroids(sources.image_xy[rows], sources.electrons[rows], **known)
         turned.append(attitude.rotation_vector_to(solution.attitude))
         used = solution.stars.fitted
-        guide = tracker.guide.seen_by(scene.observer).directions[[wrong[n] for n in used.catalog_id.tolist()]]
+        guide = tracker.guide.apparent_to(scene.observer).directions[[wrong[n] for n in used.catalog_id.tolist()]]
         here = attitude.apply(guide)
         slopes = pixel_slopes(here, renderer.camera.image_map)
         moved = used.xy - renderer.camera.project(here)

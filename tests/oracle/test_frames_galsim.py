@@ -50,7 +50,7 @@ def normalised(centroider, model):
 
 def none_misidentified(tracker, solution, matrix):
     """Every named star lies where the true attitude has it; blends with fainter stars move some by up to a pixel."""
-    guide = tracker.guide.seen_by(OBSERVER)
+    guide = tracker.guide.apparent_to(OBSERVER)
     row = {star: k for k, star in enumerate(guide.catalog.id)}
     true = CAMERA.project(guide.directions[[row[star] for star in solution.stars.catalog_id]] @ matrix.T)
     off = np.hypot(*(solution.stars.xy - true).T)
@@ -111,7 +111,7 @@ def test_stars_elongated_by_aberrations_are_no_satellites():
     solution = tracker.solve(stored["frame"], observer=OBSERVER, saturation_dn=FULL_DN, gain_e_per_dn=E_PER_DN)
     assert solution.solved, solution.reason
     none_misidentified(tracker, solution, stored["matrix"])
-    guide = tracker.guide.seen_by(OBSERVER)
+    guide = tracker.guide.apparent_to(OBSERVER)
     row, _, _ = guide.in_field(stored["matrix"], -5.0, CAMERA)
     brightest = set(guide.catalog.id[row[:12]].tolist())
     assert len(brightest.intersection(solution.stars.catalog_id.tolist())) >= 10

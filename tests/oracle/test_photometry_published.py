@@ -41,7 +41,7 @@ def test_photons_at_the_effective_wavelength_of_v():
 
 @pytest.mark.parametrize(("name", "off"), [("b", -0.12), ("r", 0.11), ("i", 0.22)])
 def test_how_far_a_black_body_is_off_in_the_other_bands(name, off):
-    """Not an agreement but the honest size of the error that `blackbody` states: a black body is no A0 star."""
+    """Not an agreement but the honest size of the error that `blackbody` states: a black body is not an A0 star."""
     ratio = band_photons(blackbody(W, np.array([0.0]))[0], name) / PUBLISHED[name][0]
     assert ratio - 1.0 == pytest.approx(off, abs=0.01)
 

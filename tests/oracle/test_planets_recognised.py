@@ -62,7 +62,7 @@ def planet_beside_a_guide_star(tracker, camera):
     """Directions of a planet at 0.3 to 3 px from a guide star, the observer, and the star's row."""
     for year in np.arange(2010.0, 2040.0, 0.01):
         observer, _ = near_earth(float(year))
-        guide = tracker.guide.seen_by(observer)
+        guide = tracker.guide.apparent_to(observer)
         for name, direction in body_directions(observer).items():
             if name not in ("Jupiter", "Saturn", "Mars", "Uranus"):
                 continue

@@ -91,7 +91,7 @@ def test_one_displaced_star_costs_less_than_half(tracker, observer, stars, state
     """17, 12 and 4.6 times the error without it at 50 standard errors, with the displaced star used in all fits of five
     and six. Without this star the error of five is 1.2 times as large. Limits: 1.5, and three standard errors of the
     ratio of two rms values of 360, which have errors of 1/√(2 · 360) each, partly common: 0.06 · 1.5."""
-    ratio, nees, used = displaced(tracker.guide.seen_by(observer), observer, stars, stated)
+    ratio, nees, used = displaced(tracker.guide.apparent_to(observer), observer, stars, stated)
     assert np.all(ratio < 1.5 + 3.0 * 0.06 * 1.5)
     assert used[3:].max() < 0.08  # from 40 standard errors on
     assert nees.mean() < 3.0 + 3.0 * np.sqrt(6.0 / len(nees))
@@ -99,7 +99,7 @@ def test_one_displaced_star_costs_less_than_half(tracker, observer, stars, state
 
 def test_of_four_stars_the_covariance_contains_a_displaced_one(tracker, observer):
     """Which of four stars is displaced is uncertain where a displacement nearly fits that of another one."""
-    _, nees, _ = displaced(tracker.guide.seen_by(observer), observer, 4, 1.0, 120)
+    _, nees, _ = displaced(tracker.guide.apparent_to(observer), observer, 4, 1.0, 120)
     assert nees.mean() < 3.0 + 3.0 * np.sqrt(6.0 / len(nees))
     # a displacement of 5 standard errors may be taken for errors of all stars: twice the errors of a true covariance
     assert np.count_nonzero(nees > chi2.isf(0.01, 3)) < binom.isf(1e-3, len(nees), 0.02)
@@ -110,7 +110,7 @@ def test_of_four_stars_the_covariance_contains_a_displaced_one(tracker, observer
 def test_lists_with_a_displaced_star(tracker, observer, prior, brightest):
     """As a user gives them: fluxes, a prior or none, displacements of 0.5 px and more beyond any identification."""
     rng, clean, error = np.random.default_rng(11), [], []
-    guide = tracker.guide.seen_by(observer)
+    guide = tracker.guide.apparent_to(observer)
     for k in range(240):
         attitude, index, xy = field(rng, guide, 7)
         xy, flux = xy + rng.normal(0.0, SIGMA_PX, xy.shape), 10.0 ** (-0.4 * guide.v_mag[index])
@@ -131,7 +131,7 @@ def test_lists_with_a_displaced_star(tracker, observer, prior, brightest):
 @pytest.mark.parametrize(("stars", "trials"), [(3, 2000), (4, 2000), (5, 2000), (8, 2000)])
 def test_few_stars_of_unknown_errors_stay_within_the_limit(tracker, observer, stars, trials):
     """13, 17, 9 and 9 of 2,000 exceeded it with the factor for 99 % of the errors."""
-    guide, rng, beyond = tracker.guide.seen_by(observer), np.random.default_rng(5), 0
+    guide, rng, beyond = tracker.guide.apparent_to(observer), np.random.default_rng(5), 0
     for _ in range(trials):
         attitude, index, xy = field(rng, guide, stars)
         found = refined(guide, observer, index, xy + rng.normal(0.0, 0.2, xy.shape), None)
@@ -142,7 +142,7 @@ def test_few_stars_of_unknown_errors_stay_within_the_limit(tracker, observer, st
 
 def test_six_stars_of_a_distorting_lens_stay_within_the_limit(tracker, observer):
     """0.1 % at the corners, 0.7 px, which the camera does not know: 20 of 1,500 exceeded the limit."""
-    guide, rng, beyond = tracker.guide.seen_by(observer), np.random.default_rng(4), 0
+    guide, rng, beyond = tracker.guide.apparent_to(observer), np.random.default_rng(4), 0
     for _ in range(1500):
         attitude, index, xy = field(rng, guide, 6)
         offset = xy - 511.5
@@ -162,7 +162,7 @@ def test_errors_twice_as_large_as_stated(tracker, observer, stars, most):
     is best for errors twice as large, with a mean NEES of 2.4 for errors as stated, leaves 1.3 % beyond (Lagrange's
     method on the densities of χ²₇ and 4 χ²₇); 0.2 % are reached with a mean NEES of 1.3, twice the covariance.
     """
-    guide, rng, nees = tracker.guide.seen_by(observer), np.random.default_rng(9), []
+    guide, rng, nees = tracker.guide.apparent_to(observer), np.random.default_rng(9), []
     for _ in range(1200):
         attitude, index, xy = field(rng, guide, stars)
         found = refined(guide, observer, index, xy + rng.normal(0.0, 0.1, xy.shape), 0.05)
@@ -174,7 +174,7 @@ def test_errors_twice_as_large_as_stated(tracker, observer, stars, most):
 
 @pytest.mark.parametrize("stars", [4, 5, 6, 8])
 def test_errors_as_stated_are_not_widened_more_than_needed(tracker, observer, stars):
-    guide, rng, nees = tracker.guide.seen_by(observer), np.random.default_rng(6), []
+    guide, rng, nees = tracker.guide.apparent_to(observer), np.random.default_rng(6), []
     for _ in range(600):
         attitude, index, xy = field(rng, guide, stars)
         found = refined(guide, observer, index, xy + rng.normal(0.0, 0.1, xy.shape), 0.1)
@@ -195,7 +195,7 @@ def test_a_focal_length_fitted_to_eight_stars(tracker, observer):
         0,
         0,
     )
-    guide = tracker.guide.seen_by(observer)
+    guide = tracker.guide.apparent_to(observer)
     for _ in range(2000):
         attitude, index, xy = field(rng, guide, 8, camera)
         xy, flux = xy + rng.normal(0.0, 0.1, xy.shape), 10.0 ** (-0.4 * guide.v_mag[index])

@@ -127,7 +127,7 @@ def test_the_evidence_of_random_points_has_mean_one():
     # the nearest guide star alone counts, and the best share less ln(number of shares) is at most their mean: E ≤ 1.
     # The standard deviation of a Λ is of the order of 1: 4/√40000 = 0.02
     assert np.mean(value) < 1.0 + 0.02
-    # and it is no idle bound: a quarter at least, the price of choosing among four shares
+    # and it is not an idle bound: a quarter at least, the price of choosing among four shares
     assert np.mean(value) > 0.2
 
 

@@ -39,7 +39,7 @@ def tracker():
 
 def flown(tracker, seed, true=GROUND, displacement=None, part="everywhere"):
     """Errors (2, N, 3), rad, and NEES (2, N) of sessions without and with calibration."""
-    rng, sky = np.random.default_rng(seed), tracker.guide.seen_by(OBSERVER)
+    rng, sky = np.random.default_rng(seed), tracker.guide.apparent_to(OBSERVER)
     calibrated = CalibratedSession(tracker, InFlightCalibration(GROUND), RateNoise(1e-5))
     sessions, errors, nees = (TrackingSession(tracker, RateNoise(1e-5)), calibrated), [], []
     for k in range(FRAMES):
@@ -124,7 +124,7 @@ def test_the_covariance_of_a_frame_that_is_not_used_is_its_own(tracker):
     their mean position, within 130 px of the centre."""
     calibration = InFlightCalibration(GROUND, InFlightSettings(parameters=("f",), field_px=0.0))
     session = CalibratedSession(tracker, calibration, RateNoise(1e-5))
-    truth, sky = Attitude.from_radec_roll(80.0, 5.0, 30.0), tracker.guide.seen_by(OBSERVER)
+    truth, sky = Attitude.from_radec_roll(80.0, 5.0, 30.0), tracker.guide.apparent_to(OBSERVER)
     _, _, xy = sky.in_field(truth.as_matrix(), camera=GROUND)
     rng, found = np.random.default_rng(4), []
     for k, part in enumerate(["everywhere", "everywhere", "in one quadrant"]):

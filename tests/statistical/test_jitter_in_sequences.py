@@ -26,7 +26,7 @@ def runner_of(*overrides):
     return SequenceRunner(Scenario.load("cubesat_ideal", overrides=[*SMALL_CAMERA, *overrides]))
 
 
-def shaken(runner):
+def jittered(runner):
     """Rotation vectors (N, 3) of the true attitudes against the motion without jitter, camera axes."""
     pairs = zip(runner.states, runner.cameras, strict=True)
     return np.array([state.camera.rotation_vector_to(camera) for state, camera in pairs])
@@ -53,7 +53,7 @@ def test_a_sinusoid_moves_as_one(tmp_path):
         "sequence.frames=160",
         *QUIET_GYRO,
     )
-    angles = shaken(runner) / ARCSEC
+    angles = jittered(runner) / ARCSEC
     t = 0.5 * np.arange(160)
     basis = np.stack([np.cos(2 * np.pi * 0.02 * t), np.sin(2 * np.pi * 0.02 * t)], axis=1)
     for axis in (0, 1):
@@ -77,7 +77,7 @@ def test_gyro_measures_the_jitter():
     for k in range(29):
         turn = runner.cameras[k].rotation_vector_to(runner.cameras[k + 1])
         np.testing.assert_allclose(runner.gyro[k] * 0.5, turn, atol=1e-6 * ARCSEC)
-    assert np.abs(np.diff(shaken(runner), axis=0)).max() > 10.0 * ARCSEC
+    assert np.abs(np.diff(jittered(runner), axis=0)).max() > 10.0 * ARCSEC
 
 
 def test_frames_have_the_attitudes_of_the_process():

@@ -84,14 +84,14 @@ def tracker():
     return StarTracker(Camera.from_fov(12.0, 1024, 1024), magnitude_limit=6.5)
 
 
-def lists(tracker, stars, trials, seed, sigma_px, seen_by=None, known=False, told=None):
+def lists(tracker, stars, trials, seed, sigma_px, apparent_to=None, known=False, told=None):
     """NEES of fits of so many stars at random attitudes, positions off by Gaussian errors of `sigma_px` (a function
     of the random numbers and the number of stars), seen by an observer and refined with what `told` says of him."""
     rng, nees = np.random.default_rng(seed), []
     told = Observer(tracker.guide.epoch_jyear, np.zeros(3)) if told == "barycentre" else told
     while len(nees) < trials:
-        observer = seen_by(rng) if seen_by is not None else None
-        guide = tracker.guide.seen_by(observer)
+        observer = apparent_to(rng) if apparent_to is not None else None
+        guide = tracker.guide.apparent_to(observer)
         attitude = Attitude(rng.normal(size=4))
         index, _, xy = guide.in_field(attitude.as_matrix(), -2.0)
         if len(index) < stars:
@@ -101,7 +101,7 @@ def lists(tracker, stars, trials, seed, sigma_px, seen_by=None, known=False, tol
         seen = xy[chosen] + sigma[:, None] * rng.normal(size=(stars, 2))
         pairs = np.stack([np.arange(stars), index[chosen]], axis=1)
         variance = sigma**2 if known else None
-        guide, measured = tracker.guide.seen_by(told), Measured(seen, variance_px2=variance)
+        guide, measured = tracker.guide.apparent_to(told), Measured(seen, variance_px2=variance)
         found = refine(pairs, measured, tracker.camera, guide, field_fit, observer=told)
         error = attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))
         nees.append(error @ np.linalg.solve(found.covariance, error))
@@ -138,7 +138,7 @@ def earthly(rng):
 @pytest.mark.parametrize("sigma_px", [0.005, 0.05])
 def test_without_an_observer_the_covariance_has_aberration_and_epoch(tracker, sigma_px):
     """In scale, too: aberration displaces stars at the edge by up to 0.05 px."""
-    nees = lists(tracker, 12, 600, 5, lambda rng, n: np.full(n, sigma_px), seen_by=earthly, known=True)
+    nees = lists(tracker, 12, 600, 5, lambda rng, n: np.full(n, sigma_px), apparent_to=earthly, known=True)
     # across the boresight the error is that of one velocity of known size: its square varies by less than χ²'s
     assert 2.5 < nees.mean() < 3.0 + 3.0 * np.sqrt(6.0 / 600)
     assert np.mean(nees > chi2.isf(0.01, 3)) < 0.02
@@ -154,7 +154,7 @@ def test_an_unknown_observer_costs_few_stars_a_twentieth(tracker):
         pairs = np.stack([np.arange(len(chosen)), index[chosen]], axis=1)
         seen = Measured(xy[chosen] + rng.normal(0.0, 0.1, (len(chosen), 2)))
         for k, told in enumerate((None, Observer(tracker.guide.epoch_jyear, np.zeros(3)))):
-            found = refine(pairs, seen, tracker.camera, tracker.guide.seen_by(told), field_fit, observer=told)
+            found = refine(pairs, seen, tracker.camera, tracker.guide.apparent_to(told), field_fit, observer=told)
             square[k] += np.sum(attitude.rotation_vector_to(Attitude.from_matrix(found.matrix))[:2] ** 2)
     assert 1.0 <= np.sqrt(square[0] / square[1]) < 1.08  # paired: 1.06, and 1.12 with a free focal length
 
@@ -212,7 +212,7 @@ def test_stars_that_agree_by_chance_do_not_leave_out_the_others(tracker):
     """Errors of ±0.1 px along x, as of undersampled images, where 0.015 px are stated: with all stars of one sign left
     out the fit agrees within the stated errors, and was 0.1 px off (NEES up to 600, 10 on average)."""
     rng, nees, observer = np.random.default_rng(12), [], Observer(tracker.guide.epoch_jyear, np.zeros(3))
-    guide = tracker.guide.seen_by(observer)
+    guide = tracker.guide.apparent_to(observer)
     while len(nees) < 150:
         attitude = Attitude(rng.normal(size=4))
         index, _, xy = guide.in_field(attitude.as_matrix(), -2.0)
@@ -256,7 +256,7 @@ def test_every_detected_guide_star_is_named():
     for k in range(20):
         frame, truth = runner.renderer.frame(k)
         solution = solve_frame(runner.tracker, frame)
-        index, _, xy = runner.tracker.guide.seen_by(frame.observer).in_field(truth.attitude.as_matrix())
+        index, _, xy = runner.tracker.guide.apparent_to(frame.observer).in_field(truth.attitude.as_matrix())
         near = np.hypot(*(xy[:, None] - solution.centroids[None]).transpose(2, 0, 1)).min(axis=1) < 3.0
         detected += np.count_nonzero(near)
         ids = runner.tracker.guide.catalog.id[index[near]]

@@ -57,7 +57,7 @@ def test_gyro_with_a_scale_factor_error_of_one_percent(tracker, stamps):
 @pytest.mark.slow
 @pytest.mark.parametrize("stamps", list(STAMPS))
 def test_gyro_with_a_scale_factor_error_over_long_sequences(tracker, stamps):
-    """The bounds are 3.00 ± 0.07. Every second stamp late by 20 ms, 2 px here, is no noise that the filter knows of:
+    """The bounds are 3.00 ± 0.07. Every second stamp late by 20 ms, 2 px here, is not noise that the filter knows of:
     the watch covers it to within some 3 % of the NEES, and a tenth is allowed."""
     sequences = [run(tracker, 100 + seed, 240, 0.01, STAMPS[stamps])[0] for seed in range(24)]
     mean, low, high = in_bounds(sequences)
@@ -187,7 +187,7 @@ def test_without_an_observer_the_covariance_has_the_aberration_in_it(tracker):
         rng = np.random.default_rng(50 + seed)
         phase = rng.uniform(0.0, 2.0 * math.pi)
         along = np.array([math.cos(phase), math.sin(phase) * math.cos(tilt), math.sin(phase) * math.sin(tilt)])
-        guide = tracker.guide.seen_by(Observer(tracker.guide.epoch_jyear, EARTH_KM_S * along))
+        guide = tracker.guide.apparent_to(Observer(tracker.guide.epoch_jyear, EARTH_KM_S * along))
         session = TrackingSession(tracker, RateNoise(1e-6))
         for k, (truth, _) in enumerate(motion(rng, 6, 0.05)):
             index, vectors, _ = guide.in_field(truth.as_matrix())

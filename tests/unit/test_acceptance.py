@@ -11,8 +11,8 @@ from startracker.identification.acceptance import (
     SURE_BEYOND,
     WITHIN_PRIOR_BEYOND,
     accepts,
-    is_beyond_doubt,
     log_chance,
+    passes_confirmation_threshold,
     power_of_ten,
 )
 from startracker.identification.observed import Identification
@@ -29,10 +29,12 @@ def test_an_accepted_answer_ends_the_search_only_with_a_margin(beyond):
     limit (e^−5 within a prior) none can compete."""
     found = Identification(Status.SOLVED, "", log_false_alarm=LIMIT - 0.1)
     assert accepts(found.log_false_alarm, SETTINGS)
-    assert not is_beyond_doubt(found, SETTINGS, beyond)
-    assert not is_beyond_doubt(replace(found, log_false_alarm=LIMIT - beyond + 0.1), SETTINGS, beyond)
-    assert is_beyond_doubt(replace(found, log_false_alarm=LIMIT - beyond - 0.1), SETTINGS, beyond)
-    assert not is_beyond_doubt(replace(found, status=Status.AMBIGUOUS, log_false_alarm=-1e3), SETTINGS, beyond)
+    assert not passes_confirmation_threshold(found, SETTINGS, beyond)
+    assert not passes_confirmation_threshold(replace(found, log_false_alarm=LIMIT - beyond + 0.1), SETTINGS, beyond)
+    assert passes_confirmation_threshold(replace(found, log_false_alarm=LIMIT - beyond - 0.1), SETTINGS, beyond)
+    assert not passes_confirmation_threshold(
+        replace(found, status=Status.AMBIGUOUS, log_false_alarm=-1e3), SETTINGS, beyond
+    )
 
 
 def test_the_chance_is_the_rivals_share_of_the_evidence():

@@ -43,7 +43,7 @@ def test_cones_hold_the_fastest_stars_long_after_the_grid_was_made():
     camera = Camera.from_fov(10.0, 512, 512)
     guide = GuideDatabase.build(load_catalog("hipparcos"), camera, 6.5)
     assert len(guide.view.grid.members) == len(guide)  # of the catalogue's epoch
-    seen = guide.seen_by(Observer(2041.25, np.array([15.0, 20.0, -10.0]), np.array([0.5, 0.8, 0.3])))
+    seen = guide.apparent_to(Observer(2041.25, np.array([15.0, 20.0, -10.0]), np.array([0.5, 0.8, 0.3])))
     moved = np.linalg.norm(seen.directions - guide.directions, axis=1)
     fastest = np.argsort(-moved)[:20]
     assert moved[fastest[0]] > 1e-3

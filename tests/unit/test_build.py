@@ -1,4 +1,4 @@
-"""From scenario to physics: defaults agree, the exposure is no part of the device, and the Earth has its key."""
+"""From scenario to physics: defaults agree, the exposure is not a part of the device, and the Earth has its key."""
 
 from dataclasses import MISSING, fields
 

@@ -166,7 +166,7 @@ def test_altitudes_of_a_stretched_field_are_given(calibration):
 
 def test_the_focal_length_of_an_image_needs_four_stars(made):
     """Three stars are six observations for an attitude and a focal length, but no independent residual of each axis is
-    left: a standard error from two degrees of freedom is no reason to exclude an image."""
+    left: a standard error from two degrees of freedom is not a reason to exclude an image."""
     truth, _ = made
     rng = np.random.default_rng(2)
     xy = rng.uniform([100.0, 100.0], [900.0, 700.0], (4, 2))

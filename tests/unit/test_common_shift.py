@@ -18,7 +18,7 @@ def fitted():
     shift along x, with a given common error."""
     tracker = StarTracker(Camera.from_fov(12.0, 1024, 1024), magnitude_limit=6.5)
     rng, observer = np.random.default_rng(3), Observer(tracker.guide.epoch_jyear, np.zeros(3))
-    guide = tracker.guide.seen_by(observer)
+    guide = tracker.guide.apparent_to(observer)
     attitude = Attitude.from_radec_roll(85.0, 5.0, 30.0)
     index, _, xy = guide.in_field(attitude.as_matrix(), -2.0)
     assert len(index) > 40

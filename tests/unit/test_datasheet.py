@@ -111,9 +111,9 @@ def test_recovery_after_an_interruption() -> None:
 
 
 def test_a_swinging_rate_has_its_acceleration_and_amplitude() -> None:
-    shaken = swinging(SCENARIO, 0.4, 0.3, 20)
-    profile = rate_profile(shaken.pointing, sequence_motion(shaken.sequence))
-    times = np.linspace(0.0, 20 * shaken.sequence.step_s, 4001)
+    jittered = swinging(SCENARIO, 0.4, 0.3, 20)
+    profile = rate_profile(jittered.pointing, sequence_motion(jittered.sequence))
+    times = np.linspace(0.0, 20 * jittered.sequence.step_s, 4001)
     rates = np.degrees([profile.at(t) for t in times])
     moving = rates[:, np.ptp(rates, axis=0).argmax()]
     assert np.abs(moving).max() == pytest.approx(0.3, abs=1e-3)

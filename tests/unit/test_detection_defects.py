@@ -43,7 +43,7 @@ def test_hot_pixels_are_masked_and_stars_beside_them_kept(share, dtype):
     image = np.where(hot, clean + 300.0, clean).astype(dtype)
     masked, count = mask_impulses(image, estimate(image))
     found = ~np.isfinite(masked)
-    sky = clean < 60.0 + 40.0  # a hot pixel in a star's image is no impulse
+    sky = clean < 60.0 + 40.0  # a hot pixel in a star's image is not an impulse
     # missed where three of eight neighbours are hot too: 0.6 % at 5 %, 3.8 % at 10 %
     assert found[hot & sky].mean() > 0.95
     assert not found[~hot].any()

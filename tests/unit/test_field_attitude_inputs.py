@@ -7,7 +7,7 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker
 from startracker.errors import InputError
-from startracker.estimation.association import EXTRA_SIGMA, Displaced, seen_stars
+from startracker.estimation.association import EXTRA_SIGMA, Displaced, predicted_pixels
 from startracker.estimation.directions import fit_pairs
 from startracker.estimation.refine import _first_fit
 from startracker.estimation.wahba import fit_rotation
@@ -101,7 +101,7 @@ def test_displacements_of_stars_are_derivatives_of_their_pixels(rolls, moves, sc
     index, _, positions = guide.in_field(attitude)
     motion = guide.motion_axes
     displaced = Displaced(rolls, moves, scales)
-    pixels, offset, slopes, extra = seen_stars(
+    pixels, offset, slopes, extra = predicted_pixels(
         index, attitude, guide.directions, motion, camera.image_map, 2e-5, displaced
     )
     np.testing.assert_allclose(pixels, positions, atol=1e-9)

@@ -42,7 +42,7 @@ class Frame(NamedTuple):
     stars: StarList
     guide: np.ndarray
     start: np.ndarray
-    seen_by: FlightObserver
+    apparent_to: FlightObserver
     truth: np.ndarray
     observer: Observer
 
@@ -55,7 +55,7 @@ def guide():
 @pytest.fixture(scope="module")
 def tables(guide):
     observer = Observer(2026.0)
-    return pose_tables(SimpleNamespace(camera=CAMERA, guide=guide.seen_by(observer)))
+    return pose_tables(SimpleNamespace(camera=CAMERA, guide=guide.apparent_to(observer)))
 
 
 def frame(guide, rng, kind="stated"):
@@ -64,7 +64,7 @@ def frame(guide, rng, kind="stated"):
     velocity *= 30.0 / np.linalg.norm(velocity)
     years = float(rng.uniform(-8.0, 8.0))
     observer = Observer(2026.0 + years, velocity)
-    seen = guide.seen_by(observer)
+    seen = guide.apparent_to(observer)
     while True:
         truth = Rotation.random(random_state=rng).as_matrix()
         index, _, xy = seen.in_field(truth, 0.0, CAMERA)
@@ -103,7 +103,7 @@ def refined_pose(guide, given):
     """StarTracker's fit of the same stars."""
     pairs = np.column_stack([np.flatnonzero(given.guide >= 0), given.guide[given.guide >= 0]])
     stars = Measured(given.stars.xy_px, None, given.stars.variance_px2)
-    return refine(pairs, stars, CAMERA, guide.seen_by(given.observer), field_fit, observer=given.observer)
+    return refine(pairs, stars, CAMERA, guide.apparent_to(given.observer), field_fit, observer=given.observer)
 
 
 KINDS = ("stated", "larger", "systematic", "focal", "outliers", "few")
@@ -117,7 +117,7 @@ def test_errors_and_covariance_beside_star_tracker(guide, tables, kind):
     rng, ours, theirs, same, nees, ratio = stream(1, "pose", KINDS.index(kind)), [], [], [], [], []
     for _ in range(40):
         given = frame(guide, rng, kind)
-        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.apparent_to, tables)
         refined = refined_pose(guide, given)
         away, other = error(pose.matrix / ONE, given.truth), error(refined.matrix, given.truth)
         covariance = pose.covariance / 2.0**60
@@ -139,7 +139,7 @@ def test_a_blend_and_a_false_identification_are_not_fitted(guide, tables):
     rng = stream(2, "pose")
     for _ in range(20):
         given = frame(guide, rng, "outliers")
-        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.apparent_to, tables)
         assert pose.guide[1] == -1  # 1 to 2 px away on both axes
         assert pose.guide[0] >= 0  # found again
         assert np.linalg.norm(error(pose.matrix / ONE, given.truth)[:2]) < 2e-5
@@ -151,9 +151,9 @@ def test_the_attitude_beside_scipy(guide, tables):
     rng, apart = stream(3, "pose"), []
     for _ in range(20):
         given = frame(guide, rng)
-        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.apparent_to, tables)
         used = pose.guide >= 0
-        sky = guide.seen_by(given.observer).directions[pose.guide[used]]
+        sky = guide.apparent_to(given.observer).directions[pose.guide[used]]
         camera = CAMERA.unproject(given.stars.xy_px[used])
         found, _ = Rotation.align_vectors(camera, sky, 1.0 / given.stars.variance_px2[used])
         away = error(pose.matrix / ONE, found.as_matrix())
@@ -164,9 +164,9 @@ def test_the_attitude_beside_scipy(guide, tables):
 def test_too_few_stars_and_a_rolling_shutter(guide, tables):
     given = frame(guide, stream(4, "pose"))
     none = np.full(len(given.guide), -1)
-    assert solve_pose(given.stars, none, given.start, given.seen_by, tables) is None
+    assert solve_pose(given.stars, none, given.start, given.apparent_to, tables) is None
     one = np.where(np.arange(len(none)) == 0, given.guide, -1)
-    assert solve_pose(given.stars, one, given.start, given.seen_by, tables) is None
+    assert solve_pose(given.stars, one, given.start, given.apparent_to, tables) is None
     rolling = Camera(4870.0, 4870.0, 511.5, 511.5, 1024, 1024, row_time_s=1e-5)
     with pytest.raises(InputError, match="global shutter"):
         pose_tables(SimpleNamespace(camera=rolling, guide=guide))
@@ -208,7 +208,7 @@ class Built:
         columns = zip(*(column.tolist() for column in given.stars), strict=True)
         stars = (Star * max(len(given.guide), 1))(*(Star(*row) for row in columns))
         guide = (ctypes.c_int16 * MAX_STARS)(*given.guide.tolist())
-        observer = (ctypes.c_int32 * 4)(*given.seen_by.velocity.tolist(), given.seen_by.years)
+        observer = (ctypes.c_int32 * 4)(*given.apparent_to.velocity.tolist(), given.apparent_to.years)
         matrix = (ctypes.c_int32 * 9)(*given.start.ravel().tolist())
         covariance = (ctypes.c_int64 * 9)()
         used = self.lib.tracker_solve_pose(self.memory, stars, len(given.guide), guide, observer, matrix, covariance)
@@ -239,7 +239,7 @@ def wild(guide, rng):
         turn = Rotation.from_rotvec(rng.normal(size=3) * 10.0 ** rng.uniform(-4, -1)).as_matrix()
         start = np.rint(turn @ (given.start / ONE) * ONE).astype(np.int64)
         velocity, years = rng.integers(-(1 << 20), (1 << 20) + 1, 3), int(rng.integers(-100, 101)) << 16
-        given = given._replace(start=start, seen_by=FlightObserver(velocity, years))
+        given = given._replace(start=start, apparent_to=FlightObserver(velocity, years))
     return given._replace(stars=stars)
 
 
@@ -247,7 +247,7 @@ def check_bits(built, guide, tables, rng, count):
     solved = 0
     for k in range(count):
         given = wild(guide, rng) if k % 2 else frame(guide, rng, KINDS[k // 2 % len(KINDS)])
-        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.apparent_to, tables)
         used, numbers, matrix, covariance = built.solve(given)
         assert (used > 0) == (pose is not None), k
         if pose is None:
@@ -280,7 +280,7 @@ def test_single_precision_is_close(guide, tables, tmp_path):
     built, rng, apart, same = Built(tmp_path, tables, "float"), stream(7, "pose"), [], 0
     for k in range(60):
         given = frame(guide, rng, KINDS[k % len(KINDS)])
-        pose = solve_pose(given.stars, given.guide, given.start, given.seen_by, tables)
+        pose = solve_pose(given.stars, given.guide, given.start, given.apparent_to, tables)
         used, numbers, matrix, covariance = built.solve(given)
         assert used > 0
         if not np.array_equal(numbers, pose.guide):

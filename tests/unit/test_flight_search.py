@@ -33,7 +33,7 @@ from startracker.inputs import SATURATED_SHARE
 from startracker.observer import Observer
 from startracker.settings import DetectionSettings, TriadSettings
 from startracker.solution import Status
-from tests.helpers.flight_lists import random_fields, seen_by
+from tests.helpers.flight_lists import apparent_to, random_fields
 
 pytestmark = pytest.mark.system
 
@@ -128,7 +128,7 @@ def test_evidence_is_that_of_floating_point_and_never_above(star_tracker, tracke
     """Within 0.1 bits a star and one for the rest: 1/64 bit of each table of counts, 1/16 of the crowding's steps."""
     compared = 0
     for one in fields(star_tracker, kind, 25):
-        seen = seen_by(tracker, one.stars)
+        seen = apparent_to(tracker, one.stars)
         matrix = integers(one.matrix)
         field = field_at(matrix, REST, 2 * len(seen) + MOST_EXTRA, tables)
         predicted = (field.direction @ matrix.T) >> 30
@@ -180,7 +180,7 @@ def test_votes_are_those_of_brute_force(star_tracker, tracker, tables):
     tables, plan = tables._replace(most_kept=10**6), SEARCHES[0]
     found = 0
     for one in fields(star_tracker, "false stars", 2):
-        seen = seen_by(tracker, one.stars)
+        seen = apparent_to(tracker, one.stars)
         sides = separations(seen, tables)
         for pole in range(3):
             got = vote_about(pole, seen, sides, plan, 10**9, tables)
@@ -193,7 +193,7 @@ def test_votes_are_those_of_brute_force(star_tracker, tracker, tables):
 
 def test_more_votes_than_there_is_room_for(star_tracker, tracker, tables, monkeypatch):
     """The passes over ranges of guide stars give what a single one does."""
-    seen = seen_by(tracker, fields(star_tracker, "clean", 1)[0].stars)
+    seen = apparent_to(tracker, fields(star_tracker, "clean", 1)[0].stars)
     sides, plan = separations(seen, tables), SEARCHES[1]
     whole = vote_about(0, seen, sides, plan, 10**9, tables)
     looked = whole.steps
@@ -288,7 +288,7 @@ def test_proper_motion(star_tracker, tracker):
     """After 20 years Groombridge 1830 has moved by 141″ (7.06″ a year, Hipparcos), 3 px: 60 standard errors.
     With the epoch it is fitted, and the attitude of these exact positions is right to 0.02 px; without, it is not."""
     guide, camera = star_tracker.guide, star_tracker.camera
-    later = guide.seen_by(Observer(guide.epoch_jyear + 20.0))
+    later = guide.apparent_to(Observer(guide.epoch_jyear + 20.0))
     fast = int(np.flatnonzero(guide.catalog.id == 57939)[0])
     away = np.degrees(np.linalg.norm(later.directions[fast] - guide.directions[fast])) * 3600.0
     assert away == pytest.approx(20.0 * 7.06, abs=0.1)
@@ -313,7 +313,7 @@ def test_proper_motion(star_tracker, tracker):
 
 def test_verification_recovers_from_a_coarse_attitude(star_tracker, tracker, tables):
     one = fields(star_tracker, "clean", 4, seed=8)[3]
-    seen = seen_by(tracker, one.stars)
+    seen = apparent_to(tracker, one.stars)
     sigma = math.sqrt(float(seen.variance[0])) / ONE
     for axis, errors in ((0, 20.0), (1, -20.0), (2, 100.0)):  # in stated errors, of a first gate of 63
         turn = Rotation.from_rotvec(np.eye(3)[axis] * errors * sigma).as_matrix()

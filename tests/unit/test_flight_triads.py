@@ -23,7 +23,7 @@ from startracker.identification.triad_search import TriadLimits, find_triads, im
 from startracker.identification.triad_tables import TriadTables
 from startracker.settings import TriadSettings
 from startracker.solution import Status
-from tests.helpers.flight_lists import random_fields, seen_by
+from tests.helpers.flight_lists import apparent_to, random_fields
 
 pytestmark = pytest.mark.system
 
@@ -63,7 +63,7 @@ class Found(TriadWork):
 def triads_of(tracker, one, number=0):
     """Work that has the triads of a search."""
     t = tracker.search_tables
-    seen = seen_by(tracker, one.stars)
+    seen = apparent_to(tracker, one.stars)
     work = Found(Pool(len(seen), None, t), seen, separations(seen, t), REST, t)
     work.run(t.searches[number])
     return work
@@ -224,7 +224,7 @@ def test_tolerances_and_pairs_of_the_design(star_tracker, design, tracker):
     assert np.median(near) < 1.5 * TRIAD_BRIGHT * t.triads.stars
     assert [one.sides for one in t.searches] == [round(1024 * scale) for scale in SCALES]
     fixed = FlightTracker.build(replace(design, identification=TriadSettings(separation_tolerance_deg=0.05)))
-    sides = separations(seen_by(tracker, fields(star_tracker, "clean", 1)[0].stars), fixed.search_tables)
+    sides = separations(apparent_to(tracker, fields(star_tracker, "clean", 1)[0].stars), fixed.search_tables)
     (search,) = fixed.search_tables.searches
     allowed = tolerance(sides.chord, sides.error, search.sides) - tolerance(sides.chord, 0 * sides.error, search.sides)
     np.testing.assert_allclose(allowed / ONE, math.radians(0.05), rtol=1e-6)

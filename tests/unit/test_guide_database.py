@@ -127,10 +127,10 @@ def test_solid_angle_of_a_pinhole_is_the_closed_form():
 def test_seen_by_moves_and_aberrates_the_stars():
     guide = GuideDatabase.build(load_catalog("hipparcos"), Camera.from_fov(10.0, 512, 512), 6.0)
     velocity = np.array([20.0, -15.0, 5.0])
-    seen = guide.seen_by(Observer(2026.2, velocity))
+    seen = guide.apparent_to(Observer(2026.2, velocity))
     np.testing.assert_allclose(seen.directions, aberrate(guide.catalog.directions(2026.2), velocity), atol=1e-15)
-    assert guide.seen_by(None) is guide
-    assert seen.pairs is seen.seen_by(Observer(2026.3)).pairs  # half a decade shares one list
+    assert guide.apparent_to(None) is guide
+    assert seen.pairs is seen.apparent_to(Observer(2026.3)).pairs  # half a decade shares one list
     assert seen.pairs is not guide.pairs
 
 

@@ -83,8 +83,8 @@ def test_few_stars_and_negative_times():
 
 def test_rows_of_a_rolling_shutter_rotate_with_the_camera():
     """Rows exposed 20 µs after each other while the camera rotates at 1°/s about x: the field is sheared by 3.5e-4,
-    which is no change of the lens. Without the rate of the camera as an unknown the focal length would be off by half
-    of that."""
+    which is not a change of the lens. Without the rate of the camera as an unknown the focal length would be off by
+    half of that."""
     rolling = Camera(2000.0, 2000.0, 511.5, 511.5, 1024, 1024, row_time_s=2e-5)
     for camera, right in ((rolling, True), (replace(rolling, row_time_s=0.0), False)):
         rng, filtered = np.random.default_rng(6), LensFilter(camera, InFlightSettings(focal_length_ppm=1000.0))
@@ -159,7 +159,7 @@ def defect_map(camera=NARROW):
 
 
 def test_at_rest_nothing_is_defective():
-    """Ten frames of the same sky: an unknown bright object is no defect, and neither is the hot pixel yet."""
+    """Ten frames of the same sky: an unknown bright object is not a defect, and neither is the hot pixel yet."""
     found = defect_map()
     for k in range(10):
         found.add(pixels(k, (40, 50), (90, 20)), attitude_about([0, 1, 0], 0.01 * k), np.empty((0, 2)))
@@ -176,7 +176,7 @@ def test_hot_pixels_are_found_while_the_sky_moves():
 
 
 def test_about_the_boresight_the_middle_stays_in_place():
-    """A camera that rolls by 15° a frame: an object on the axis is no defect, hot pixels away from the axis are."""
+    """A camera that rolls by 15° a frame: an object on the axis is not a defect, hot pixels away from the axis are."""
     found = defect_map()
     for k in range(12):
         found.add(pixels(k, (63, 64), (100, 100)), attitude_about([0, 0, 1], 15.0 * k), np.empty((0, 2)))
@@ -270,7 +270,7 @@ def tracker():
 
 def sky_centroids(tracker, camera, attitude, observer, rng):
     """Centroids of the guide stars with a camera that may differ from the tracker's."""
-    vectors = tracker.guide.seen_by(observer).directions @ attitude.as_matrix().T
+    vectors = tracker.guide.apparent_to(observer).directions @ attitude.as_matrix().T
     inside = np.flatnonzero(vectors[:, 2] > math.cos(camera.half_diagonal_rad))
     xy = camera.project(vectors[inside])
     seen = np.flatnonzero(camera.contains(xy))

@@ -102,7 +102,7 @@ def test_of_two_processes_one_compiles_and_the_other_loads(tmp_path):
     (tmp_path / "go").touch()
     said = [process.communicate(timeout=120)[0].split() for process in both]
     assert sorted(compiled for compiled, _, _ in said) == ["0", "1"]
-    for _, wall_s, clock_s in said:  # waiting for the other process is no time of a solution either
+    for _, wall_s, clock_s in said:  # waiting for the other process is not a time of a solution either
         assert float(clock_s) < float(wall_s) - COMPILING_S
 
 

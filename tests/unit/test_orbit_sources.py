@@ -179,8 +179,8 @@ def test_tle_and_omm_are_the_same_orbit(tmp_path):
         ("oem", oem(replaced("= UTC", "= LOCAL")), r"craft\.oem:13: time scale 'LOCAL' cannot be read"),
         ("oem", oem(replaced("OBJECT_ID = 2026-001A", "")), r"craft\.oem:4: the metadata has no OBJECT_ID"),
         ("oem", oem(replaced("T12:02:00.000 ", "T12:01:00.000 ")), r"craft\.oem:15: the epoch is not after"),
-        ("oem", oem(replaced("T12:02:00.000 ", "T12:61:00.000 ")), r"craft\.oem:15: .* is no date and time of UTC"),
-        ("oem", oem(replaced("T12:02:00.000 ", "T12.02 ")), r"craft\.oem:15: .* is no epoch"),
+        ("oem", oem(replaced("T12:02:00.000 ", "T12:61:00.000 ")), r"craft\.oem:15: .* is not a date and time of UTC"),
+        ("oem", oem(replaced("T12:02:00.000 ", "T12.02 ")), r"craft\.oem:15: .* is not an epoch"),
         (
             "oem",
             oem(replaced("META_STOP", "INTERPOLATION = HERMITE\nINTERPOLATION_DEGREE = 6\nMETA_STOP")),
@@ -195,7 +195,7 @@ def test_tle_and_omm_are_the_same_orbit(tmp_path):
         ("csv", csv().replace("T12:02", "T12:00"), r"craft\.csv:5: the time is not after the one before"),
         ("csv", csv().replace(",1", ",x1"), r"craft\.csv:\d: .* which is not a finite number"),
         ("csv", "", r"craft\.csv:1: columns are missing: utc or t_s"),
-        ("spk", "no kernel at all", r"craft\.spk: is no SPK kernel, or is truncated"),
+        ("spk", "no kernel at all", r"craft\.spk: is not an SPK kernel, or is truncated"),
     ],
 )  # fmt: skip
 def test_bad_files_are_named_with_their_line(tmp_path, key, text, message):

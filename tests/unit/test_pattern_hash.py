@@ -287,7 +287,7 @@ def test_a_wrong_focal_length(guide, factor):
 
 
 def test_a_moving_observer(guide):
-    seen = guide.seen_by(Observer(2026.0, velocity_km_s=np.array([20.0, 25.0, -5.0])))
+    seen = guide.apparent_to(Observer(2026.0, velocity_km_s=np.array([20.0, 25.0, -5.0])))
     _, index, vectors, _ = field(seen, 250.0, -10.0)
     found = pattern_hash(observed_of(seen, vectors, index), seen)
     assert found.status is Status.SOLVED, found.reason
@@ -363,6 +363,6 @@ def test_lost_in_space(fov_deg, limit, noise_px, false, dropped, factor, trials,
         found = pattern_hash(Observed(assumed.unproject(xy[order]), 10.0 ** (-0.4 * v[order]), sigma), guide)
         if found.status is Status.SOLVED:
             solved += 1
-            # a false star upon a guide star is no error, most pairs wrong would be
+            # a false star upon a guide star is not an error, most pairs wrong would be
             assert np.mean(truth[order][found.pairs[:, 0]] == found.pairs[:, 1]) > 0.5, found.reason
     assert solved >= least * trials

@@ -128,7 +128,7 @@ def test_mistakes_in_a_table(text, message, tmp_path):
 def test_files_that_cannot_be_read(tmp_path):
     with pytest.raises(InputError, match=r"none.aem: cannot be read"):
         build_attitude_law(PointingParameters(attitude=AttitudeSource(aem=str(tmp_path / "none.aem"))), ORBIT)
-    with pytest.raises(InputError, match=r"craft.parquet: is no Parquet table"):
+    with pytest.raises(InputError, match=r"craft.parquet: is not a Parquet table"):
         law_of(tmp_path, "parquet", CSV)
     with pytest.raises(InputError, match=r"choose one of its objects by pointing.attitude.object: CRAFT \(2026-001A\)"):
         law_of(tmp_path, "aem", AEM, object="OTHER")

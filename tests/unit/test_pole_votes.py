@@ -14,7 +14,7 @@ from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import HypothesisPool, kernel_stars, verify
 from startracker.identification.adaptive import nearest_stars
 from startracker.identification.bayes_factor import count_table, largest_density
-from startracker.identification.candidate_search import Effort, Verifier
+from startracker.identification.candidate_search import SearchBudget, Verifier
 from startracker.identification.observed import Observed
 from startracker.identification.pairs import separation
 from startracker.identification.pole_votes import VOTE_SIGMAS, VoteCounts, pair_bearings, vote_about
@@ -111,7 +111,7 @@ def test_votes_alone_find_a_field_among_as_many_false_stars(guide, factor):
     verifier = Verifier(pool, guide, stars)
     candidates, _ = searched(guide, stars, limits, nearest_stars(observed.vectors), 4)
     for found in candidates:
-        verifier.take(found, Effort(limits, 100.0, 1.0, 25.0, enough=3), 0.0)
+        verifier.take(found, SearchBudget(limits, 100.0, 1.0, 25.0, enough=3), 0.0)
     best = pool.hypotheses[0]
     assert best.focal == pytest.approx(factor, abs=2e-3)
     guides = np.full(len(xy), -1)

@@ -76,7 +76,7 @@ def test_faint_stars_lengthen_it_again():
         assert operation.exposure_s == pytest.approx(expected)
     operation.exposure_s = 0.1
     hot = frame((30, 40, FAINT))
-    hot[10, 10] = FULL - 1  # a hot pixel is no star
+    hot[10, 10] = FULL - 1  # a hot pixel is not a star
     operation.judge(hot, 0.0, FULL)
     assert operation.exposure_s == 0.2
 
@@ -178,7 +178,7 @@ def test_frames_of_the_same_sky_tell_once():
 
 
 def test_known_stars_tell_nothing_of_their_pixels():
-    """A star that the camera holds on to is bright in every frame; matched, it is no blemish."""
+    """A star that the camera holds on to is bright in every frame; matched, it is not a blemish."""
     stars = MatchedStars(np.array([[20.0, 40.0]]), np.array([1]), np.array(["a"]), *np.ones((2, 1)), np.zeros((1, 2)))
     found = []
     for known in (MatchedStars.none(), stars):

@@ -21,7 +21,7 @@ def tracker():
 
 
 def field(tracker, attitude, observer=None):
-    guide = tracker.guide.seen_by(observer)
+    guide = tracker.guide.apparent_to(observer)
     index, _, xy = guide.in_field(attitude.as_matrix())
     return index, xy, 10.0 ** (-0.4 * guide.v_mag[index])
 

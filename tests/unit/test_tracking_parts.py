@@ -38,7 +38,7 @@ def tracker():
 def test_expected_stars_are_the_guides_on_the_image(tracker, observer):
     attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0).as_matrix()
     found = Sky(tracker.guide, tracker.camera.pixel_rad).expected(attitude, observer, 1000)
-    guide = tracker.guide.seen_by(observer)
+    guide = tracker.guide.apparent_to(observer)
     index, vectors, _ = guide.in_field(attitude)
     # the field's outline is drawn two pixels outside of the image
     assert set(index) <= set(found.index)

@@ -52,7 +52,7 @@ def test_pairs_are_the_true_ones(guide, ra_deg, dec_deg):
 
 
 def test_a_moving_observer(guide):
-    seen = guide.seen_by(Observer(2026.0, velocity_km_s=np.array([20.0, 25.0, -5.0])))
+    seen = guide.apparent_to(Observer(2026.0, velocity_km_s=np.array([20.0, 25.0, -5.0])))
     _, index, vectors, _ = field(seen, 250.0, -10.0)
     found = triads(observed_of(seen, vectors, index), seen)
     assert found.status is Status.SOLVED, found.reason
@@ -104,8 +104,8 @@ def test_thresholds_are_settings(guide):
     _, index, vectors, _ = field(guide, 120.0, 20.0)
     index, vectors = index[:7], vectors[:7]
     rng = np.random.default_rng(4)
-    shaken = vectors + rng.normal(0, SIGMA, vectors.shape)
-    seen = observed_of(guide, shaken / np.linalg.norm(shaken, axis=1, keepdims=True), index)
+    jittered = vectors + rng.normal(0, SIGMA, vectors.shape)
+    seen = observed_of(guide, jittered / np.linalg.norm(jittered, axis=1, keepdims=True), index)
     assert triads(seen, guide, TriadSettings(separation_tolerance_deg=0.05)).status is Status.SOLVED
     for strict in (
         {"rotation_tolerance_deg": 1e-9},

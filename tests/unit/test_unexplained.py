@@ -274,7 +274,7 @@ def test_an_image_torn_at_half_its_width_is_refused(cubesat, number):
     assert truth.attitude.angle_to(session.filter_attitude) < math.radians(0.01)
 
 
-# ---------------------------------------------------------------------- what is no contradiction
+# ---------------------------------------------------------------------- what is not a contradiction
 @pytest.mark.parametrize("angle_deg", [0.0, 70.0, 200.0])
 def test_half_of_the_image_may_be_hidden(tracker, angle_deg):
     attitude = Attitude.from_radec_roll(85.0, 0.0, 30.0)

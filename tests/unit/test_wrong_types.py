@@ -366,7 +366,7 @@ SLOW = ("simulator.run", "simulator.study.sequence.run.run_sequence", "startrack
     "label", [pytest.param(label, marks=[pytest.mark.system] * (label in SLOW)) for label in CALLS]
 )
 def test_every_argument_of_a_wrong_type(label, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # where "x" is no file
+    monkeypatch.chdir(tmp_path)  # where "x" is not a file
     call, right = CALLS[label]
     if label.startswith("startracker.Camera") and "distortion" in right:
         right = right | {"distortion": startracker.Distortion()}

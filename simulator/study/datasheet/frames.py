@@ -222,7 +222,7 @@ class DatasheetFrames:
         for k in range(count):
             scene = self.renderer.scene(first + k)
             epoch, camera = scene.observer.epoch_jyear, scene.pointing.camera
-            guide = self.runner.tracker.guide.seen_by(scene.observer)
+            guide = self.runner.tracker.guide.apparent_to(scene.observer)
             index, _, _ = guide.in_field(camera.as_matrix())
             fixed, known = scene.stars.directions(epoch), guide.catalog.directions(epoch)[index]
             nearest = np.argmax(known @ fixed.T, axis=1)

@@ -207,8 +207,8 @@ def verified_design(
 
     Starts at the predicted value. If its run contradicts it, or leaves it undecided with enough trials, the prediction
     is multiplied by measured / predicted, and the next value is the smallest that meets the specification so, at most
-    1.5 times the previous one; between the largest contradicted and the smallest confirmed value the search goes on by
-    bisection to 12 %, `MOST_RUNS` runs in all.
+    1.5 times the previous one; between the largest contradicted and the smallest confirmed value the search continues
+    by bisection to 12 %, `MOST_RUNS` runs in all.
 
     Parameters
     ----------

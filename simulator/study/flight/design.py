@@ -51,7 +51,7 @@ def flight_design(
     epoch = Observer(frame.observer.epoch_jyear)
     return FlightDesign(
         renderer.camera,
-        tracker.guide.seen_by(epoch),
+        tracker.guide.apparent_to(epoch),
         DetectorNumbers(frame.gain_e_per_dn, frame.read_noise_e, int(frame.saturation_dn)),
         psf.sigma_px,
         tracker.detection,

@@ -162,7 +162,7 @@ class FlightEngine:
         """Identified stars, with residuals from the guide stars' apparent positions for the observer."""
         named = np.flatnonzero(np.array(numbers))
         rows = self.guide.rows_of(np.array(numbers, dtype=np.int64)[named])
-        apparent = self.guide.seen_by(observer).directions[rows]
+        apparent = self.guide.apparent_to(observer).directions[rows]
         xy = stars.xy_px[named]
         residual_px = xy - self.camera.project(attitude.apply(apparent))
         return MatchedStars.of(

@@ -45,13 +45,13 @@ class BodyState(NamedTuple):
     jitter: JitterMotion | None
     """Relative to this time, body axes."""
 
-    def shaken(self, exposure_s: float) -> Attitude:
+    def jittered(self, exposure_s: float) -> Attitude:
         """ICRS to body, including the mean jitter over an exposure."""
         if self.jitter is None:
             return self.body
         return Attitude.from_rotation_vector(self.jitter.mean(exposure_s), "body", "body") @ self.body
 
-    def shaken_rate_rad_s(self, exposure_s: float) -> FloatArray:
+    def jittered_rate_rad_s(self, exposure_s: float) -> FloatArray:
         """Rate (3,) including the mean of the jitter over an exposure, body axes."""
         return self.rate_rad_s if self.jitter is None else self.rate_rad_s + self.jitter.rate(exposure_s)
 

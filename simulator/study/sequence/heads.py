@@ -95,7 +95,7 @@ class HeadsRunner:
         self.ends_s = sorted(self.states)
         """Ends of the gyro's samples."""
         if section.gyro.use:
-            bodies = [self.states[t_s].shaken(first.exposure_s) for t_s in self.ends_s]
+            bodies = [self.states[t_s].jittered(first.exposure_s) for t_s in self.ends_s]
             turns = np.reshape([a.rotation_vector_to(b) for a, b in pairwise(bodies)], (-1, 3))
             self.gyro = gyro_samples(section.gyro, turns, np.diff(self.ends_s), stream(scenario.seed, "gyro"))
         on_grid = states_at(reference, first.scenes, self.start, self.grid_s)
@@ -263,14 +263,14 @@ class _Flight:
         runner = self.runner
         state, reference = runner.states[runner.grid_s[k]], runner.cameras[0]
         exposure_s = reference.renderer.exposure_s
-        shaken = state._replace(body=state.shaken(exposure_s), rate_rad_s=state.shaken_rate_rad_s(exposure_s))
-        seen, rotation_rad = reference.motion(shaken), reference.rotation_rad(state)
+        jittered = state._replace(body=state.jittered(exposure_s), rate_rad_s=state.jittered_rate_rad_s(exposure_s))
+        seen, rotation_rad = reference.motion(jittered), reference.rotation_rad(state)
         true = seen.camera
         mekf = self.fusion.estimate(state.since_s)
         estimate = None if mekf is None else mekf.head_attitude(0)
         row = opening_columns(k, state.since_s, state.t_s, runner.clock.isot(state.t_s))
         covariance = None if mekf is None else mekf.head_covariance(0)
-        row |= compared_columns(true, estimate, covariance, seen.camera @ shaken.body.inverse, rotation_rad)
+        row |= compared_columns(true, estimate, covariance, seen.camera @ jittered.body.inverse, rotation_rad)
         row["beyond_specification"] = is_beyond(row, runner.specification)
         row |= self._rates(seen.rate_camera_rad_s, mekf)
         row |= self._gyro_errors(state.since_s, mekf)

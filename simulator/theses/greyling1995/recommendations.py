@@ -148,7 +148,7 @@ def raw_pixels_first(frames: int = 12) -> dict[str, Order]:
         image = np.asarray(frame.image, dtype=np.float32)
         background = estimate(image, settings.detection.background_tile_px)
         spots = find_round_regions(image, background, settings.detection)
-        prior, sky = as_prior(frame.prior, frame.prior_deg), guide.seen_by(frame.observer)
+        prior, sky = as_prior(frame.prior, frame.prior_deg), guide.apparent_to(frame.observer)
         measure = partial(_moments, image, background, settings.centroid)
         identify = partial(
             _matched, camera, partial(match_groups, guide=sky, settings=settings.identification, prior=prior)

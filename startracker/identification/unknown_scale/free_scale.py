@@ -327,8 +327,8 @@ def magnitude_ratio(magnitude: FloatArray, matched_v: FloatArray, field_v: Float
         return ratio
     calibrated = magnitude - np.median(magnitude[matched] - matched_v[matched])
     likely = magnitude_density(calibrated[matched] - matched_v[matched])
-    anyhow = magnitude_density(calibrated[matched, None] - field_v[None, :]).mean(axis=1)
-    ratio[matched] = likely / anyhow
+    by_chance = magnitude_density(calibrated[matched, None] - field_v[None, :]).mean(axis=1)
+    ratio[matched] = likely / by_chance
     return ratio
 
 
