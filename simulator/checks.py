@@ -191,7 +191,7 @@ NAME_CHECKS: NameChecks = {
     "optics.psf.model": _registered("psfs", "simulator.optics.psf", "PSFS"),
     "detector.quantum_efficiency": _curve("quantum_efficiency"),
     "tracker.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
-    "tracker.detector": _registered("detectors", "startracker.detection", "DETECTORS"),
+    "tracker.detector": _registered("detectors", "startracker.detection", "METHODS"),
     "tracker.centroider": _registered("centroiders", "startracker.centroid", "METHODS"),
     "tracker.identifier": _registered("identifiers", "startracker.identification", "METHODS"),
     "tracker.estimator": _registered("estimators", "startracker.estimation", "METHODS"),

@@ -161,7 +161,7 @@ def _points_of_image(
     trace: Trace = []
     found = find_stars(
         given,
-        lookup("detectors", detecting.DETECTORS, detector),
+        lookup("detectors", detecting.METHODS, detector),
         lookup("centroiders", centroiding.METHODS, centroider),
         settings,
         settings_or_default("centroid", centroid, CentroidSettings),

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.theses.detectors.region_growing import grow_objects
 from startracker.detection.background import Background, as_image
-from startracker.detection.region_growing import grow_objects
 from startracker.detection.sources import Sources, is_saturated
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
