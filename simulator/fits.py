@@ -81,7 +81,7 @@ def fits_bytes(
         header[f"HIERARCH {name}"] = value
     units: list[Any] = [primary]
     if truth is not None:
-        # a scenario may omit aberration
+        # If the scenario omits aberration, the rendered directions are astrometric already.
         velocity = frame.observer.velocity_km_s if frame.parameters.get("sky.aberration", True) else None
         header.update(wcs_header(frame.camera, truth.attitude, velocity, wcs))
         if velocity is not None:
@@ -150,7 +150,8 @@ def _dates(utc: str, exposure_s: float) -> list[tuple[str, Any, str]]:
     date, _, clock = utc.partition("T")
     year, month, day = (int(part) for part in date.split("-"))
     hour, minute, second = clock.split(":")
-    # the ufuncs, because their wrappers warn of dates after the table of leap seconds
+    # The ufuncs are called directly because ERFA's wrappers warn of dates after the table of leap seconds. The offsets
+    # are added in TAI, so that an exposure across a leap second has the right length.
     utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", year, month, day, int(hour), int(minute), float(second))
     tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
     cards: list[tuple[str, Any, str]] = []
@@ -174,8 +175,9 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
     from astropy.table import Table
 
     s = truth.sources
-    still = s.direction if velocity_km_s is None else aberrate(s.direction, -velocity_km_s)
-    ra, dec = direction_to_radec(still)
+    # Aberration is a Lorentz transformation, whose exact inverse is that with the opposite velocity.
+    astrometric = s.direction if velocity_km_s is None else aberrate(s.direction, -velocity_km_s)
+    ra, dec = direction_to_radec(astrometric)
     table = Table(
         {
             "id": s.id,
@@ -250,6 +252,7 @@ def read_fits(path: str | Path) -> Frame:
         )
         field_of(camera)  # rejects a distortion that cannot be inverted
         return Frame(
+            # FITS stores big-endian numbers; the kernels need those of the machine.
             image=np.asarray(image).astype(image.dtype.newbyteorder("="))[:: 1 if top_down else -1],
             camera=camera,
             observer=Observer(cards.number("JEPOCH", *_EPOCHS), velocity, position),
@@ -267,6 +270,7 @@ def read_fits(path: str | Path) -> Frame:
         )
     except InputError as error:
         text = str(error)
+        # The errors of `_Cards` name the file already, those of `Camera` and `Attitude` do not.
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
 
 

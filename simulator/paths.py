@@ -14,7 +14,7 @@ from startracker.errors import InputError
 
 @contextlib.contextmanager
 def open_atomically(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
-    """Stream that becomes the file `path` if the block succeeds, and leaves no file behind if it fails.
+    """Open a stream that is renamed to `path` if the block succeeds and removed if it fails.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def open_atomically(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
                 stream.flush()
                 if durable:
                     os.fsync(stream.fileno())
-            os.chmod(temporary, 0o644)
+            os.chmod(temporary, 0o644)  # mkstemp creates files that only their owner can read
             os.replace(temporary, path)
         finally:
             with contextlib.suppress(FileNotFoundError):
