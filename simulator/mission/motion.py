@@ -73,14 +73,16 @@ class RateProfile:
         Magnus' series for dS/dt = −[ω×] S with two Gauss points per step h (Iserles & Nørsett 1999; Blanes et al. 2009,
         Physics Reports 470, 151, eq. 253): the rotation vector is h (ω₁ + ω₂)/2 + √3 h² (ω₁ × ω₂)/12.
         """
+        # The rate is smooth only between its corners, so no step may cross one. `from_rotation_vector` is a rotation
+        # of the axes, which has the sign of −[ω×].
         inner = self.t_s[(self.t_s > start_s) & (self.t_s < end_s)]
         turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
         corners = [start_s, *inner, end_s]
         for low, high in pairwise(corners):
             ends = self.at(low), self.at(high)
-            steps = 1  # exact for a constant rate
+            steps = 1  # one step is exact for a constant rate
             if (ends[0] != ends[1]).any():
-                fastest = max(float(np.linalg.norm(rate)) for rate in ends)  # linear between: largest at an end
+                fastest = max(float(np.linalg.norm(rate)) for rate in ends)  # the rate is linear between the ends
                 steps = math.ceil((high - low) * max(fastest / _LARGEST_TURN_RAD, 1.0 / _LONGEST_STEP_S))
             h = (high - low) / steps
             for k in range(steps):
@@ -93,6 +95,7 @@ class RateProfile:
 
 def rate_profile(pointing: PointingParameters, sequence: SequenceMotion) -> RateProfile:
     """Rate of the body relative to its reference over a sequence: sum of constant rate, profile and slew."""
+    # The sum of piecewise linear functions is linear between the union of their corners.
     points = np.array([p.at_s for p in sequence.rates])
     corners, speeds = _trapezoid(sequence.slew)
     times = np.unique(np.concatenate([[0.0], points, corners]))
@@ -114,7 +117,7 @@ def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
 
 
 class BodyMotion:
-    """The body over time, from one instant to the next.
+    """Attitude and rate of the body, integrated from one instant to the next.
 
     Parameters
     ----------
@@ -155,7 +158,7 @@ class BodyMotion:
         self._before_s = 0.0
 
     def at(self, now_s: float) -> MotionState:
-        """State without jitter at a time after the first frame, not before the last one asked for."""
+        """State without jitter at a time, s after the first frame, which must not be before that of the last call."""
         if now_s > self._before_s:
             self._turned = self.profile.turn(self._before_s, now_s) @ self._turned
         self._before_s, t_s = now_s, self._start_s + now_s
@@ -165,7 +168,7 @@ class BodyMotion:
         return MotionState(t_s, camera, self._start.mounting.apply(rate_body))
 
     def add_rate(self, rate_rad_s: FloatArray) -> None:
-        """Add a rate (3,), body axes, from the last time asked for."""
+        """Add a rate (3,), rad/s in body axes, from the time of the last call of `at`."""
         self.profile = RateProfile(self.profile.t_s, self.profile.rate_rad_s + rate_rad_s)
 
 
@@ -191,8 +194,8 @@ def motion(
 
 
 def on_mounting(state: MotionState, rotation_rad: FloatArray | None) -> MotionState:
-    """The same motion of the body seen by a camera whose mounting is rotated by a vector (3,) in camera axes, of which
-    the rate is neglected."""
+    """Motion of a camera whose mounting is rotated by a vector (3,) in camera axes; the rate of this rotation is
+    neglected."""
     if rotation_rad is None:
         return state
     turn = Attitude.from_rotation_vector(rotation_rad, "camera", "camera")

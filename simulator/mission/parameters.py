@@ -108,13 +108,13 @@ class OrbitParameters:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """All keys that define an orbit; more than one contradict each other."""
+        """All keys that define an orbit; a valid section has at most one."""
         given = {"elements": self.elements.semi_major_axis_km, "state": self.state.position_km}
         return tuple(k for k in SOURCES if given.get(k, getattr(self, k)) is not None)
 
     @property
     def described(self) -> str:
-        """A few words: ``800 km orbit``, ``orbit of cbers2.tle``."""
+        """Short description for display: ``800 km orbit``, ``orbit of cbers2.tle``."""
         source = self.source
         if source == "circular":
             return f"{self.altitude_km:g} km orbit"
@@ -174,7 +174,7 @@ class AttitudeSource:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Keys of files; more than one contradict each other."""
+        """Keys of files that are given; a valid section has at most one."""
         return tuple(key for key in ATTITUDE_FILES if getattr(self, key) is not None)
 
 
@@ -303,7 +303,7 @@ class PointingParameters:
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """Keys that define the attitude instead of the local level; more than one contradict each other."""
+        """Keys that define the attitude instead of the local level; a valid section has at most one."""
         given = {
             "target": self.target is not None,
             "spin": self.spin.rate_deg_s != 0.0,

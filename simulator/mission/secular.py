@@ -63,6 +63,7 @@ def sun_synchronous_inclination(semi_major_axis_km: float) -> float:
     InputError
         Above about 5,970 km, where even an equatorial retrograde orbit precesses too slowly.
     """
+    # `nodal_rate` at i = 0 is the factor of cos i, and is negative; the inclination is therefore above 90°.
     cosine = MEAN_SUN_RATE_RAD_S / nodal_rate(semi_major_axis_km, 0.0)
     if cosine < -1.0:
         slowest = (-cosine) ** (-2.0 / 7.0) * semi_major_axis_km - EARTH_RADIUS_KM  # the rate varies as a^(−7/2)

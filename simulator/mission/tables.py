@@ -26,7 +26,7 @@ class Rows(NamedTuple):
     t_s: FloatArray
     """(N,): Seconds after the scenario's epoch, ascending."""
     values: FloatArray
-    """(N, C): The columns asked for."""
+    """(N, C): The requested columns."""
     positions: list[str]
     """File and line (CSV), or file and row (Parquet), for messages."""
 
@@ -44,8 +44,8 @@ class _Text(NamedTuple):
 def read_rows(path: Path, clock: Clock, columns: Sequence[str], optional: Sequence[str] = ()) -> Rows:
     """Rows of a table with a header.
 
-    Its columns are ``utc`` (ISO 8601) or ``t_s`` (seconds after the scenario's epoch), and those asked for; others are
-    not read. In CSV, lines that start with ``#`` are comments. A file named ``*.parquet`` is read as Parquet.
+    Its columns are ``utc`` (ISO 8601) or ``t_s`` (seconds after the scenario's epoch), and the requested ones; others
+    are not read. In CSV, lines that start with ``#`` are comments. A file named ``*.parquet`` is read as Parquet.
 
     Parameters
     ----------

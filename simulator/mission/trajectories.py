@@ -1,4 +1,4 @@
-"""The trajectory of a scenario's ``orbit`` section, by what the section gives."""
+"""Build the trajectory of a scenario's ``orbit`` section."""
 
 from __future__ import annotations
 
@@ -25,10 +25,12 @@ from simulator.mission.trajectory import Trajectory
 from startracker.errors import InputError
 
 _NUMERICAL_SPAN = (datetime(1899, 10, 1, tzinfo=UTC), datetime(2053, 8, 1, tzinfo=UTC))
-"""Range of DE421 less two months, some steps of the integrator."""
+"""Range of DE421, reduced by two months at either end, because the integrator needs some steps beyond a time."""
 
 
 class _Given(NamedTuple):
+    """A section with the clock and the folder of its files."""
+
     section: OrbitParameters
     clock: Clock
     folder: Path
@@ -66,6 +68,7 @@ def _circular(given: _Given) -> Trajectory:
     orbit = build_orbit(given.section, given.clock.epoch)
     if given.section.propagator == "numerical":
         assert isinstance(orbit, J2Orbit)
+        # The mean elements at the epoch serve as osculating ones; for e = 0 the mean anomaly counts from the node.
         mean = orbit.elements
         elements = Elements(
             mean.semi_major_axis_km, 0.0, mean.inclination_rad, mean.raan_rad, 0.0, mean.argument_of_latitude_rad
@@ -108,6 +111,7 @@ def _state(given: _Given) -> Trajectory:
     if section.propagator not in ("auto", "numerical"):
         raise InputError(f"orbit.propagator: {section.propagator} is not for a state vector; use numerical")
     matrix = to_frame(given.frame("icrf"), given.clock, 0.0)
+    # A row vector times the matrix is its inverse times the vector: from the frame of the section to ICRF.
     start = np.concatenate([np.array(section.state.position_km) @ matrix, section.state.velocity_km_s @ matrix])
     return _numerical(given, start, section.centre)
 
