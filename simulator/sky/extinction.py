@@ -10,6 +10,7 @@ from startracker.core import FloatArray
 R_V = 3.1
 """A_V / E(B−V) of the diffuse interstellar medium; Cardelli, Clayton & Mathis 1989."""
 
+# Coefficients of y⁰ to y⁷ in Cardelli, Clayton & Mathis 1989, eq. 3a and 3b.
 _OPTICAL_A = (1.0, 0.17699, -0.50447, -0.02427, 0.72085, 0.01979, -0.77530, 0.32999)
 _OPTICAL_B = (0.0, 1.41338, 2.28305, 1.07233, -5.38434, -0.62251, 5.30260, -2.09002)
 

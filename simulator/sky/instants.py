@@ -1,4 +1,4 @@
-"""A block of instants of a mission: positions of the spacecraft, the Sun, the Moon and the planets, as arrays."""
+"""Ephemerides of the spacecraft, the Sun, the Moon and the planets at a block of instants, as arrays."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Instant:
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """Ephemerides of a mission at T instants, computed together: Skyfield and ERFA take about 50 µs per instant in a
-    block, and milliseconds for a single one."""
+    """Ephemerides of a mission at T instants, computed together, because Skyfield and ERFA take about 50 µs per instant
+    of a block but milliseconds for a single one."""
 
     t_s: FloatArray
     """(T,): Seconds after the epoch."""
@@ -51,15 +51,15 @@ class Instants:
     """(T, 3): Geocentric state, GCRS."""
     r_centre_km: FloatArray
     v_centre_km_s: FloatArray
-    """(T, 3): State relative to the centre of the trajectory, to which the local level refers; the same around the
-    Earth."""
+    """(T, 3): State relative to the centre of the trajectory, to which the local level refers; identical to the
+    geocentric state for an orbit around the Earth."""
     position_au: FloatArray
     velocity_km_s: FloatArray
     """(T, 3): Barycentric state, ICRS."""
     sun_au: FloatArray
     """(T, 3): Barycentric position of the Sun."""
     bodies: Bodies
-    """Bodies at T instants."""
+    """Sun, Moon and planets, with a leading axis of T."""
     orbit_argument_deg: FloatArray
     """(T,): Argument of latitude: from the true equator of date around the Earth, otherwise from the ecliptic."""
     latitude_deg: FloatArray
@@ -93,7 +93,8 @@ class Instants:
         )
 
     def _bodies_at(self, k: int) -> Bodies:
-        """Bodies at instant `k`, without the Earth where it is near."""
+        """Bodies at instant `k`."""
+        # In a block the Earth is included at every instant if it is far at any; near it is rendered by `sky.earth`.
         bodies = self.bodies.at(k)
         earth = bodies.name == "Earth"
         return bodies if not earth.any() or is_far(self.r_km[k] / AU_KM) else bodies.select(np.flatnonzero(~earth))
@@ -117,11 +118,12 @@ class Instants:
 
 
 def _in_shadow(centre: str, r_km: FloatArray, to_sun_km: FloatArray) -> NDArray[np.bool_]:
-    """Whether the centre of a trajectory, other than Sun and Earth, as a sphere hides the centre of the Sun from
-    positions (T, 3) relative to it."""
+    """Whether the central body of a trajectory, a sphere, hides the centre of the Sun from positions (T, 3) relative to
+    it; False for the Sun itself and for the Earth, which `is_sunlit` treats."""
     if centre in ("Earth", "Sun") or centre not in RADIUS_KM:
         return np.zeros(len(r_km), dtype=bool)
     sun = to_sun_km / np.linalg.norm(to_sun_km, axis=-1, keepdims=True)
+    # In shadow, the ray towards the Sun passes the centre ahead (`along` > 0) at less than the radius.
     along = -np.sum(r_km * sun, axis=-1)
     passes = np.linalg.norm(r_km + along[:, None] * sun, axis=-1)
     return np.asarray((along > 0.0) & (passes < RADIUS_KM[centre]))
