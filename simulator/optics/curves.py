@@ -58,7 +58,7 @@ class Curve:
 
     @classmethod
     def flat(cls, value: float) -> Curve:
-        """The same value over `FLAT_RANGE_NM`."""
+        """A constant over `FLAT_RANGE_NM`."""
         return cls(np.array(FLAT_RANGE_NM), np.array([value, value]))
 
     def __call__(self, wavelength_nm: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Ghosts: weak, defocused second images from two reflections between the surfaces of the lens.
+"""Ghosts: weak, defocused second images that arise from two reflections between surfaces of the lens.
 
 In a rotationally symmetric lens, the chief ray of light that is reflected twice remains in the meridional plane, so
 that to first order the ghost of a star at x is on the line through the principal point c, at

@@ -4,8 +4,8 @@ The response to light at (u, v) pixels from the pixel's centre is r(u) r(v) with
 
     r(u) = 1 + c cos 2πu,   |u| ≤ ½,
 
-that is 1 + c in the middle of a pixel and 1 − c at its edges; its mean is 1, so that the quantum efficiency remains
-that of the whole pixel. An image integrated over pixels is its convolution with r(u) r(v), whose transfer function on
+that is 1 + c in the middle of a pixel and 1 − c at its edges; its mean is 1, so that the quantum efficiency of the
+whole pixel is unchanged. An image integrated over pixels is its convolution with r(u) r(v), whose transfer function on
 one axis is
 
     R(f) = sinc f + ½ c (sinc(f − 1) + sinc(f + 1)),   sinc f = sin πf / (πf).
@@ -29,7 +29,8 @@ from startracker.display import changed_fields
 
 _NODES, _WEIGHTS = leggauss(24)
 _WIDE_STEP = 0.5
-"""Widest panel of the quadrature over a pixel, standard deviations of the Gaussian; 24 nodes are exact to 1e-15."""
+"""Widest panel of the quadrature over a pixel, in standard deviations of the Gaussian, for which 24 nodes are exact to
+1e-15."""
 
 
 @dataclass(frozen=True)
