@@ -54,9 +54,9 @@ class PhotonTransfer:
 def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
     """Mean, variance of the noise and variance of the pattern of two frames of one level, DN and DN².
 
-    With a the first and b the second frame: mean of (a + b)/2, var(a − b)/2, cov(a, b). The error of the mean is that
-    of the noise (the pattern is the same in all frames); those of the variances are from the scatter of the squares and
-    products, so that no distribution is assumed.
+    With a the first and b the second frame, these are the mean of (a + b)/2, var(a − b)/2 and cov(a, b). The error of
+    the mean is that of the noise, as the pattern is the same in all frames. The errors of the variances follow from the
+    scatter of the squares and products, so no distribution is assumed.
     """
     a, b = np.asarray(pair[0], dtype=np.float64).ravel(), np.asarray(pair[1], dtype=np.float64).ravel()
     n = a.size
@@ -74,8 +74,9 @@ def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
 def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True) -> PhotonTransfer:
     """Gain and read noise from the mean–variance curve.
 
-    σ² = S / K + σ_r², with the signal S above the bias and the gain K in electrons per DN: weighted least squares over
-    the bias and the levels below saturation, which begins where the variance falls from one level to the next.
+    The curve σ² = S / K + σ_r², with the signal S above the bias and the gain K in electrons per DN, is fitted by
+    weighted least squares to the bias and the levels up to that with the largest variance, above which the detector
+    saturates.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True
     bias : pair
         Two frames without light and dark current.
     quantised : bool
-        The frames have integer DN: 1/12 DN² of the variance is rounding.
+        Whether the frames have integer DN, so that 1/12 DN² of the variance is rounding.
     """
     dark, dark_noise, _ = pair_statistics(bias)
     levels = sorted((pair_statistics(pair) for pair in flats), key=lambda level: level[0].value)
@@ -99,7 +100,7 @@ def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True
     mean_x, mean_y = np.average(x, weights=weight), np.average(y, weights=weight)
     spread = np.sum(weight * (x - mean_x) ** 2)
     slope = float(np.sum(weight * (x - mean_x) * (y - mean_y)) / spread)
-    gain = Measured(1.0 / slope, 1.0 / math.sqrt(spread) / slope**2)
+    gain = Measured(1.0 / slope, 1.0 / math.sqrt(spread) / slope**2)  # error of 1/slope by propagation
 
     read2 = max(dark_noise.value - (QUANTISATION_DN2 if quantised else 0.0), 0.0)
     read = gain.value * math.sqrt(read2)
@@ -160,6 +161,6 @@ def _nonuniformity(bright: Pair, dark: Pair) -> Measured:
     variance = max(pattern.value - below.value, 0.0)
     error = math.hypot(pattern.error, below.error)
     value = math.sqrt(variance) / signal
-    # near zero the error of the variance is all that is known
+    # The error of a square root near zero cannot be propagated linearly; the root of the variance's error bounds it.
     spread = error / (2.0 * math.sqrt(variance)) if variance > error else math.sqrt(error)
     return Measured(value, math.hypot(spread, value * math.hypot(high.error, low.error)) / signal)

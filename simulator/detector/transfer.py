@@ -1,10 +1,10 @@
-"""Charge-transfer inefficiency of a CCD: charge left behind at each transfer trails the stars.
+"""Charge-transfer inefficiency of a CCD: charge left behind at each transfer forms trails behind the stars.
 
-To first order a transfer moves each electron with the probability 1 − c, independent of the size of the packet, and
+To first order a transfer moves each electron with the probability 1 − c, independently of the size of the packet, and
 otherwise leaves it to the next packet (Janesick 2001, chapter 5). An electron that needs n transfers is therefore read
-k pixels late with the probability C(n + k − 1, k) (1 − c)ⁿ cᵏ, a negative binomial distribution; (1 − c)ⁿ is not
-delayed. Expected values are used: the noise of the deferred charge, √(n c S), is far below the shot noise. Traps with
-release times of many transfers give longer tails than this.
+k pixels late with the probability C(n + k − 1, k) (1 − c)ⁿ cᵏ, a negative binomial distribution; the fraction (1 − c)ⁿ
+is not delayed. Expected values are used, because the noise of the deferred charge, √(n c S), is far below the shot
+noise. Traps with release times of many transfers, which give longer tails, are not modelled.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ def late_shares(pixels: int, cti: float) -> FloatArray:
     n = np.arange(1, pixels + 1, dtype=np.float64)
     share = np.exp(n * np.log1p(-cti))
     rows = [share]
+    # Fractions grow up to the most likely delay, so the loop may not end before it, however small they are.
     most_likely = pixels * cti / (1.0 - cti)
     while len(rows) < pixels and (share[-1] > _TAIL or len(rows) < most_likely):
         k = len(rows)
