@@ -19,7 +19,7 @@ MM_PER_CM = 10.0
 RAD_PER_MEV_G = 1.602_176_634e-8
 """1 rad = 100 erg/g."""
 
-# MeV; aluminium: MeV cm²/g, g/cm²; silicon: MeV cm²/g, MeV cm²/g
+# Columns: MeV; aluminium, MeV cm²/g and g/cm²; silicon, MeV cm²/g and MeV cm²/g (see below).
 _PROTONS = np.array(
     [
         (0.1, 395.5, 3.602e-4, 284.2, 0.4798),
@@ -61,6 +61,7 @@ class Medium(NamedTuple):
     """Z/A, mol/g."""
     excitation_ev: float
     """Mean excitation energy I."""
+    # Sternheimer's parameters −C, a, m (the exponent), x₀, x₁ and δ(x₀) of a conductor.
     minus_c: float
     a: float
     exponent: float
@@ -125,7 +126,7 @@ def electron_stopping(energy_mev: ArrayLike, medium: Medium = SILICON) -> FloatA
 
 
 def _density_effect(x: FloatArray, medium: Medium) -> FloatArray:
-    """Sternheimer's δ at x = lg βγ."""
+    """Sternheimer's δ at x = log₁₀ βγ."""
     rising = 2.0 * math.log(10.0) * x - medium.minus_c
     bend = medium.a * np.maximum(medium.x_high - x, 0.0) ** medium.exponent
     low = medium.delta_low * 10.0 ** (2.0 * (x - medium.x_low))
