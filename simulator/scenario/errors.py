@@ -50,6 +50,7 @@ class ScenarioError(InputError):
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         unique = list(dict.fromkeys(problems))
+        # Sources in the order of their first error, lines within them, and command-line options last.
         rank = {source: i for i, source in enumerate(dict.fromkeys(p.location.source for p in unique))}
         unique.sort(
             key=lambda p: (
@@ -62,7 +63,8 @@ class ScenarioError(InputError):
         self.problems: tuple[Problem, ...] = tuple(unique)
         super().__init__("\n".join(map(str, self.problems)))
 
-    def __reduce__(self) -> tuple[Any, ...]:  # the default would pass the text to __init__ when unpickled
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By default an exception is unpickled by passing its text to __init__, which takes problems here.
         return type(self), (self.problems,)
 
 

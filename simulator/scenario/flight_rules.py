@@ -1,4 +1,4 @@
-"""What the flight build of a tracker does not have: keys that ``tracker.engine: flight`` excludes."""
+"""Rules of ``tracker.engine: flight``: methods, settings and cameras that the flight build does not support."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNREAD = {
     ),
     "tracker.centroid": (CentroidSettings(), ("bias_correction", "psf_sigma_px", "psf")),
 }
-"""Settings without effect on it, with their defaults."""
+"""Settings that have no effect on the flight build: the section's defaults, and the names of these settings."""
 _UNREAD_BY_IDENTIFIERS = ("max_centroids", "max_operations")
 _WIDEST_DEG = 45.0
 LARGEST = {
@@ -63,12 +63,12 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
 
 def _of_identifier(identifier: str) -> list[tuple[str, tuple[Any, tuple[str, ...]]]]:
     """Settings of an identifier without effect on the flight build, with their defaults."""
-    own = ("separation_tolerance_deg",) if identifier == "adaptive" else ()  # triads read it
+    own = ("separation_tolerance_deg",) if identifier == "adaptive" else ()  # the triads use this tolerance
     return [("tracker.identification", (AdaptiveSettings(), (*_UNREAD_BY_IDENTIFIERS, *own)))]
 
 
 def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
-    """Cameras that the flight build does not hold."""
+    """Properties of a camera that the flight build does not support."""
     if v["detector.shutter"] == "rolling":
         yield impossible("detector.shutter", f"the flight build has no rolling shutter; use global, {_OR}")
     if v["detector.adc_bits"] is None:

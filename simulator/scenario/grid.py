@@ -1,4 +1,4 @@
-"""Points of a sweep: the values that ``--over`` gives to keys, and how they are combined.
+"""Points of a sweep: the values of keys in ``--over`` options, and their combinations.
 
 ``path=low:high:count`` is a range of `count` evenly spaced values including both ends; ``,log`` spaces them evenly in
 the logarithm. ``path=v1,v2,…`` is a list of values as YAML writes them: numbers, names, lists in brackets. Several
@@ -43,7 +43,7 @@ class SweptKey:
     key: Key
     """The key, with its type and unit."""
     values: tuple[Any, ...]
-    """The values in order; for a range, those of the grid."""
+    """The values in order; for a range, the values of the grid."""
     low: float | None = None
     high: float | None = None
     """Ends of a range; None for a list."""
@@ -73,7 +73,7 @@ class SweptKey:
             return self.values[int(fraction * len(self.values))]
         if self.log:
             value = math.exp(math.log(self.low) + fraction * (math.log(self.high) - math.log(self.low)))
-            value = min(max(value, self.low), self.high)
+            value = min(max(value, self.low), self.high)  # rounding of exp(log(x)) may leave the range
         elif self.whole:  # every integer has the same probability
             return math.floor(self.low + fraction * (self.high - self.low + 1))
         else:
@@ -186,6 +186,7 @@ def _unknown(path: str, keys: Mapping[str, Key]) -> str:
         return f"is a section; sweep one of its keys: {', '.join(inside[:12])}{' …' if len(inside) > 12 else ''}"
     from simulator.scenario.load import Scenario
 
+    # The loader finds the section to which a key belongs, or the closest name; its message for this key is used.
     try:
         Scenario.parse("{}", [f"{path}=0"])
     except ScenarioError as error:
@@ -248,7 +249,7 @@ def _spaced(low: float, high: float, count: int, log: bool) -> tuple[float, ...]
 
 
 def _split(text: str) -> list[str]:
-    """Parts between the commas outside brackets and quotes."""
+    """Parts of a text between its commas, except for commas within brackets or quotes."""
     parts, depth, quote = [""], 0, ""
     for character in text:
         if quote:

@@ -1,4 +1,4 @@
-"""The scenario's ``sequence`` section: successive frames in tracking mode, motion, gyro."""
+"""The ``sequence`` section of a scenario: successive frames in tracking mode, motion, gyro."""
 
 from __future__ import annotations
 
