@@ -61,6 +61,8 @@ def attitude_from_file(
     if len(section.sources) > 1:
         given = " and ".join(section.sources)
         raise InputError(f"pointing.attitude: {given} both define the attitude; remove one of them")
+    # Only an AEM can state whether its attitudes are those of the body or of the camera; other files have them of the
+    # body unless the section says otherwise.
     kind = section.sources[0]
     path = folder / str(getattr(section, kind))
     if kind == "aem":

@@ -160,6 +160,7 @@ class _XmlReader:
             raise InputError(f"{self._path}:{error.lineno}: damaged or truncated XML ({reason})") from error
         except (LookupError, ValueError) as error:
             raise InputError(f"{self._path}:1: XML in an encoding that cannot be read ({error}); use UTF-8") from error
+        # Every known message in the file has been recorded, so that the error can name what the file contains.
         if self._kind not in self._found:
             other = f"; this is a CCSDS {', '.join(sorted(self._found))}" if self._found else ""
             raise InputError(f"{self._path}:1: no CCSDS {self._kind}; it has no element <{self._kind.lower()}>{other}")
@@ -172,7 +173,7 @@ class _XmlReader:
         return any(element.name == self._kind.lower() for element in self._open)
 
     def _starts(self, tag: str, attributes: dict[str, str]) -> None:
-        name = tag.rpartition(":")[2]
+        name = tag.rpartition(":")[2]  # without the prefix of a namespace
         # The element around this one is now known to be a block; elements without others inside are keys.
         if self._open and not self._open[-1].is_block:
             outer = self._open[-1] = self._open[-1]._replace(is_block=True)

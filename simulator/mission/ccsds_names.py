@@ -47,6 +47,7 @@ _CENTRES = {
 
 def centre_of(item: Item) -> str:
     """One of `simulator.mission.trajectory.CENTRES` by the value of CENTER_NAME; `InputError` for any other."""
+    # Messages write the names with spaces, hyphens or underscores, and in British or American spelling.
     name = " ".join(re.sub("[-_]", " ", item.value.upper()).split()).replace("BARYCENTRE", "BARYCENTER")
     if name not in _CENTRES:
         raise InputError(f"{item.position}: centre {item.value} is not supported; use {', '.join(CENTRES)}")

@@ -43,6 +43,7 @@ class Clock:
         utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", utc.year, utc.month, utc.day, utc.hour, utc.minute, second)
         tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
         tt1, tt2, _ = erfa.ufunc.taitt(tai1, tai2)
+        # The dataclass is frozen; these are its only assignments.
         object.__setattr__(self, "epoch", utc)
         object.__setattr__(self, "_tt", (float(tt1), float(tt2)))
 

@@ -150,6 +150,7 @@ def _of_lines(name: str, first: _Line, second: _Line) -> MeanElements:
     from sgp4.api import SGP4_ERRORS, WGS72, Satrec
 
     line1, line2 = _checked(first, "1 "), _checked(second, "2 ")
+    # Column 63, index 62, is the ephemeris type.
     if (kind := line1[62]) not in "02 ":
         theory = f", {_OTHER_THEORIES[kind]}," if kind in _OTHER_THEORIES else ""
         raise InputError(f"{first.position}: elements of ephemeris type {kind}{theory} in column 63; SGP4 needs type 0")
@@ -252,6 +253,8 @@ def _of_message(path: Path, keys: Mapping[str, Item]) -> MeanElements:
         raise InputError(f"{keys['ECCENTRICITY'].position}: eccentricity {eccentricity:g} with mean motion {motion:g}")
     if "GM" in keys and abs(_number(keys["GM"]) / _GM_KM3_S2 - 1.0) > 1e-7:
         warn_of(f"{keys['GM'].position}: GM is not used; SGP4 has that of WGS 72, {_GM_KM3_S2} km³/s²")
+    # A message without a catalogue number is identified by its name. Numbers of two-line elements have no leading
+    # zeros either.
     number = keys.get("NORAD_CAT_ID")
     designator = keys.get("OBJECT_ID")
     return MeanElements(

@@ -51,6 +51,7 @@ class ElementList:
     @classmethod
     def read(cls, path: Path, clock: Clock, max_age_days: float) -> ElementList:
         """The list of a file (`simulator.mission.element_files.read_elements`); `InputError` with file and line."""
+        # The cache is keyed by date and size, so that a file that has been replaced is read again.
         try:
             stat = path.stat()
             sets = _read(path, stat.st_mtime_ns, stat.st_size)

@@ -108,13 +108,14 @@ def epoch_fields(text: str, position: str) -> tuple[float, ...]:
     if match := _DAY_OF_YEAR.fullmatch(text):
         year, day, *time = match.groups()
         date = np.datetime64(f"{year}-01-01") + np.timedelta64(int(day) - 1, "D")
-        if str(date)[:4] == year:
+        if str(date)[:4] == year:  # day 366 of a common year is in the next one
             return tuple(float(part) for part in (year, str(date)[5:7], str(date)[8:10], *time))
     raise InputError(f"{position}: '{text}' is not an epoch such as 2026-03-21T12:00:00.000")
 
 
 def _to_tt(jd1: FloatArray, jd2: FloatArray, scale: str) -> tuple[FloatArray, FloatArray]:
     """Two-part Julian dates TT of those of another scale."""
+    # The scales form a chain, TCB → TDB → TT and UTC or GPS → TAI → TT; the steps below are in its order.
     if scale == "TT":
         return jd1, jd2
     if scale == "UT1":

@@ -77,6 +77,7 @@ def _derivative(y: FloatArray, block: FloatArray, at: float, gm: FloatArray, zon
     """Velocity and `acceleration` (6,) of a state; pole and bodies are evaluated from their polynomials by Clenshaw's
     recurrence."""
     degree, columns = block.shape[0] - 1, block.shape[1]
+    # Clenshaw's recurrence b_k = c_k + 2x b_(k+1) − b_(k+2) for every column, and Σ = c₀ + x b₁ − b₂.
     near = np.empty((columns, 3))
     for n in range(columns):
         for axis in range(3):

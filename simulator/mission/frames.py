@@ -74,6 +74,8 @@ def _mean_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
 
 
 def _earth_fixed(clock: Clock, t_s: float | FloatArray) -> FloatArray:
+    # The nutation matrix gives gst06 the equation of the equinoxes; a rotation by GAST about the pole then leads from
+    # the true equinox to the meridian of Greenwich.
     time = timescale().tt_jd(*clock.tt_jd(t_s))
     of_date = true_of_date(clock, t_s)
     gast = erfa.ufunc.gst06(time.whole, time.ut1_fraction, *clock.tt_jd(t_s), of_date)
@@ -106,6 +108,7 @@ def states_to_gcrs(
         matrix = to_frame(frame, clock, t_s)
         return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s)
     matrix = to_frame("itrf", clock, t_s)
+    # ω × r in the Earth-fixed axes, whose z axis is the axis of rotation as polar motion is neglected.
     turning = np.cross([0.0, 0.0, EARTH_RATE_RAD_S], r_km)
     return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s + turning)
 

@@ -81,5 +81,6 @@ class GivenTrajectory:
         if not (np.abs(since) <= _REACH_S).all():  # this form also refuses NaN, the time before the first state
             raise InputError(f"no position of the spacecraft is known within {_REACH_S:g} s of {np.asarray(t_s)} s")
         pull = -GM_KM3_S2.get(self.centre, 0.0) * self._r_km / math.hypot(*self._r_km.tolist()) ** 3
+        # Constant acceleration: the position changes by the mean of initial and final velocity.
         velocity = self._v_km_s + pull * since
         return self._r_km + 0.5 * (self._v_km_s + velocity) * since, velocity

@@ -88,6 +88,7 @@ def aem_text(clock: Clock, t_s: FloatArray, quaternions: FloatArray, header: Hea
 def acm_text(clock: Clock, t_s: FloatArray, quaternions: FloatArray, variances_deg2: FloatArray, header: Header) -> str:
     """Attitude comprehensive message: quaternions (N, 4) as in `aem_text`, and the variances (N, 3) of the attitude
     error about the camera's axes, deg². An ACM has no correlations, only the diagonal of the covariance."""
+    # Times of an ACM are seconds after EPOCH_TZERO; those of OEM and AEM are calendar dates.
     start_s = float(t_s[0])
     since = [f"{t - start_s:.9f}" for t in t_s.tolist()]
     lines = [

@@ -152,6 +152,8 @@ class BodyMotion:
             )
         else:
             self._reference, self._rate_of = _level(orbit)
+        # C of the module's docstring, the rotation from the reference to the body at the start, and S, which starts as
+        # the identity.
         self._start, self._start_s = start, sequence.start_s
         self._at_start = start.body @ self._reference(sequence.start_s).inverse
         self._turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
@@ -219,7 +221,7 @@ def _level(orbit: Trajectory) -> tuple[Callable[[float], Attitude], Callable[[fl
         return local_level(*orbit.state(t_s))
 
     def rate(t_s: float) -> FloatArray:
-        first, last = orbit.span_s
+        first, last = orbit.span_s  # near an end of the trajectory the difference is one-sided
         low, high = max(t_s - _LEVEL_STEP_S, first), min(t_s + _LEVEL_STEP_S, last)
         return level(low).rotation_vector_to(level(high)) / (high - low)
 

@@ -52,6 +52,7 @@ class _March:
     def reach(self, t_s: float) -> StateTable:
         """Table of the steps until `_NODES` steps beyond a time, so that its interpolation does not depend on how far
         the integration is continued later."""
+        # The interpolating polynomial uses the nodes around a time; it is final if `_NODES` steps lie beyond the time.
         while abs(self._times[-min(_NODES, len(self._times))]) <= abs(t_s):
             self._step()
             self._table = None
@@ -109,6 +110,7 @@ class NumericalOrbit:
         """
         t = np.asarray(t_s, dtype=float)
         refuse_outside(self.clock, t, self.span_s, "the ephemeris of the numerical propagator")
+        # Two integrations start at the epoch, forwards and backwards; each is only started if a time needs it.
         flat, out = t.ravel(), np.empty((t.size, 6))
         for direction in (1.0, -1.0):
             rows = np.flatnonzero(flat * direction >= 0.0 if direction > 0.0 else flat < 0.0)

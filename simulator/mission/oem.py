@@ -82,6 +82,7 @@ def _interpolation(written: WrittenSegment, states: int) -> tuple[Literal["lagra
 
 def _frame_epoch_s(written: WrittenSegment, clock: Clock, frame: str) -> float | None:
     """Seconds after the epoch at which the axes of date of the frame are taken; None for the time of each state."""
+    # Inertial frames do not depend on a date, so a REF_FRAME_EPOCH has no effect on them.
     if "REF_FRAME_EPOCH" not in written.keys or frame in ("icrf", "eme2000"):
         return None
     item = written.keys["REF_FRAME_EPOCH"]

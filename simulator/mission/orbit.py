@@ -116,6 +116,7 @@ class J2Orbit:
         to_node = np.stack([np.cos(node), np.sin(node), np.zeros(t.shape)], axis=-1)
         ahead = np.stack([-np.sin(node) * cos_i, np.cos(node) * cos_i, np.full(t.shape, sin_i)], axis=-1)
         radius = self.elements.semi_major_axis_km
+        # In the plane the velocity has the rate of the argument of latitude plus that of the node, projected onto it.
         speed = radius * (self._latitude_rate + self.nodal_rate_rad_s * cos_i)
         matrix = true_of_date(self.clock, t)
         r_km = to_gcrs(matrix, radius * (np.cos(u) * to_node + np.sin(u) * ahead))
@@ -205,6 +206,8 @@ def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
         For both node keys at once, an altitude outside the range of the model or without a sun-synchronous inclination,
         or an unknown propagator.
     """
+    # These limits are those of the model. The limits of sense, such as the surface, are rules of the scenario, which
+    # `allow_unphysical` can lift.
     radius = EARTH_RADIUS_KM + section.altitude_km
     if not SMALLEST_RADIUS_EARTHS * EARTH_RADIUS_KM <= radius <= SPHERE_OF_INFLUENCE_KM:
         raise InputError(

@@ -39,6 +39,7 @@ def trial_time_s(
     """
     if sampling == "sky":
         return np.zeros(np.shape(index))
+    # A span begins at the epoch, or later if the trajectory does.
     start_s = max(span_s[0], 0.0) if sampling == "span" else 0.0
     length_s = {"mission_year": TROPICAL_YEAR_S, "orbit": period_s, "span": span_s[1] - start_s}[sampling]
     if not 0.0 < length_s < math.inf:

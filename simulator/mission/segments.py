@@ -188,6 +188,7 @@ def segment_times(
     t_s = elapsed_s(clock, [item.value for item in segment.epochs], scale, positions)
     if (back := np.flatnonzero(np.diff(t_s) <= 0.0)).size:
         raise InputError(f"{positions[back[0] + 1]}: the epoch is not after the one before; sort the states by time")
+    # The total span of the metadata must be covered by the states; the usable span, if it is stated, is part of it.
     span = {"START_TIME": -math.inf, "STOP_TIME": math.inf}
     for key in (*span, *(f"USEABLE_{key}" for key in span)):
         if key in segment.keys:
@@ -216,6 +217,7 @@ def polynomial_nodes(segment: WrittenSegment, method_key: str, *, hermite: bool)
         With file and line, for a degree that is impossible.
     """
     item, states = segment.item("INTERPOLATION_DEGREE"), len(segment.epochs)
+    # A Hermite polynomial through n positions and velocities has 2n conditions, and so the odd degree 2n − 1.
     degree = numbers([item.value], item.position)[0]
     nodes = int(degree + 1) // 2 if hermite else int(degree + 1)
     wrong = degree != int(degree) or nodes < 1 or (hermite and degree % 2 == 0)

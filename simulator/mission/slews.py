@@ -142,6 +142,7 @@ def build_slews(parameters: Waypoints, clock: Clock, mounting: FloatArray) -> Sl
 
 def _leg(limits: Waypoints, first: FloatArray, last: FloatArray, free_s: float, end_s: float) -> _Leg | None:
     """Slew that ends at `end_s` and starts at `free_s` or later; None if the attitudes are the same."""
+    # In this order the rotation vector is in the axes of the first attitude, to which `SlewLaw` applies it.
     turn = (Rotation.from_quat(first).inv() * Rotation.from_quat(last)).as_rotvec()
     angle = float(np.linalg.norm(turn))
     corners, speeds = trapezoid(angle, limits.max_rate_deg_s, limits.acceleration_deg_s2)

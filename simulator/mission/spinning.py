@@ -92,6 +92,8 @@ def spinning(t_s: FloatArray, columns: dict[str, FloatArray], *, reverse: bool) 
     angles = np.stack([90.0 + columns["SPIN_ALPHA"], 90.0 - columns["SPIN_DELTA"], columns["SPIN_ANGLE"]], axis=1)
     attitude = Rotation.from_euler("ZXZ", angles, degrees=True)
     momentum, cone_rad_s = attitude.apply([0.0, 0.0, 1.0]), np.zeros(len(t_s))
+    # Without nutation the axis of the cone is the spin axis itself, and does not move. With nutation a message gives
+    # either the cone in body axes by its angle, phase and period, or the direction of the angular momentum and a rate.
     if "NUTATION" in columns:
         cone, phase = np.radians(columns["NUTATION"]), np.radians(columns["NUTATION_PHASE"])
         in_body = [np.sin(cone) * np.cos(phase), -np.sin(cone) * np.sin(phase), np.cos(cone)]

@@ -71,6 +71,8 @@ class TrackingLaw:
 
     def _target(self, t_s: FloatArray, own: States) -> FloatArray:
         """Vectors (T, 3) towards the target, ICRS axes, any length."""
+        # To first order only the velocity of the target relative to the spacecraft matters, so any common origin
+        # serves: the Earth's centre for a point on the ground, the barycentre for the others.
         name, clock = self.track.target, self.orbit.clock
         if name == "nadir":
             return -own.r_km
@@ -132,6 +134,7 @@ def build_tracking(track: Track, orbit: Trajectory, other: Trajectory | None, mo
     InputError
         For axes that are parallel or zero.
     """
+    # By default the camera's boresight follows the target and its up axis, −y, the second direction.
     boresight, up = mounting.boresight, mounting.inverse.apply([0.0, -1.0, 0.0])
     first, second = (
         np.asarray(given if given is not None else own, dtype=float)

@@ -87,6 +87,8 @@ def _elliptic(given: _Given) -> Trajectory:
         )
     angles = (keys.inclination_deg, keys.raan_deg, keys.argument_of_periapsis_deg, keys.mean_anomaly_deg)
     elements = Elements(keys.semi_major_axis_km, keys.eccentricity, *(math.radians(angle) for angle in angles))
+    # The secular rates by J2 refer to the equator of date; elements in other axes, or around other bodies, are those
+    # of two bodies.
     around_earth = section.centre == "Earth"
     frame = given.frame({"Earth": "equator_of_date", "Sun": "ecliptic"}.get(section.centre, "icrf"))
     name = section.propagator if section.propagator != "auto" else "j2" if around_earth else "kepler"

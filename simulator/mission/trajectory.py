@@ -129,6 +129,7 @@ def centre_state(centre: str, clock: Clock, t_s: float | FloatArray) -> States:
     """
     if centre == BARYCENTRE:
         return States(np.zeros((*np.shape(t_s), 3)), np.zeros((*np.shape(t_s), 3)))
+    # Skyfield converts TT to TDB, the argument of the ephemeris; its arrays have the components first.
     at = barycentric(centre, timescale().tt_jd(*clock.tt_jd(t_s)))
     return States(at.xyz.km.T, at.velocity.km_per_s.T)
 

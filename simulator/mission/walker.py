@@ -38,6 +38,7 @@ def walker_tle(shell: Walker, epoch: datetime, first_number: int = _FIRST_NUMBER
         raise ValueError(f"{shell}: satellites must be a multiple of planes, and their numbers below 100,000")
     a_km = EARTH_RADIUS_KM + shell.altitude_km
     turns_per_day = 86_400.0 / math.tau * math.sqrt(EARTH_GM_KM3_S2 / a_km**3)
+    # The epoch of two-line elements is a year and a day of the year with a fraction.
     in_plane, utc = shell.satellites // shell.planes, epoch.astimezone(UTC)
     midnight = utc.replace(hour=0, minute=0, second=0, microsecond=0)
     day = utc.timetuple().tm_yday + (utc - midnight).total_seconds() / 86_400.0
