@@ -125,6 +125,8 @@ def background_map(
     x = np.unique(np.append(np.arange(0, camera.width, grid_px), camera.width - 1)).astype(float)
     y = np.unique(np.append(np.arange(0, camera.height, grid_px), camera.height - 1)).astype(float)
     nodes = np.stack([a.ravel() for a in np.meshgrid(x, y)], axis=1)
+    # A strong distortion may leave corners without a direction; the sky changes so slowly that the lens without
+    # distortion is good enough there.
     seen = camera.unproject(nodes)
     lost = ~np.isfinite(seen).all(axis=1)
     if lost.any():
@@ -319,6 +321,7 @@ def _read(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _bilinear(x_nodes: FloatArray, y_nodes: FloatArray, table: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    # Cells (i, j) of the table and the fractions (s, t) within them; points beyond the nodes are extrapolated.
     i = np.clip(np.searchsorted(x_nodes, x, side="right") - 1, 0, len(x_nodes) - 2)
     j = np.clip(np.searchsorted(y_nodes, y, side="right") - 1, 0, len(y_nodes) - 2)
     s = (x - x_nodes[i]) / (x_nodes[i + 1] - x_nodes[i])

@@ -50,6 +50,8 @@ def with_errors(catalog: StarCatalog, errors: CatalogueErrors, rng: np.random.Ge
     if errors.position_mas == errors.proper_motion_mas_yr == 0.0:
         return catalog
     east, north, pm_east, pm_north = _normal(catalog.id, rng.integers(2**64, dtype=np.uint64))
+    # The error towards the east is an angle on the sky, which is 1/cos δ times as large in right ascension; the
+    # catalogue's proper motion in right ascension contains cos δ already.
     at, per_year = errors.position_mas * MAS_RAD, errors.proper_motion_mas_yr * MAS_RAD
     return replace(
         catalog,

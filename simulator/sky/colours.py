@@ -43,6 +43,7 @@ def parse_type(spectral_type: str) -> tuple[str, float, str]:
     if found is None:
         return "", math.nan, ""
     subtype = float(found[2]) if found[2] else math.nan
+    # The luminosity class follows the type. A class in the suffix takes precedence over the prefix of old catalogues.
     named = _CLASS.search(text, found.end())
     if named is not None:
         luminosity = named[1]

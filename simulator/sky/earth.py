@@ -94,7 +94,7 @@ def limbs(directions: ArrayLike, radius_rad: ArrayLike, r_km: ArrayLike) -> tupl
     r = np.asarray(r_km, dtype=float)
     radius = np.maximum(np.asarray(radius_rad, dtype=float), 1e-9)
     horizon = angular_radius_rad(r)
-    away = np.arccos(np.clip(np.atleast_2d(directions) @ (r / -math.hypot(*r.tolist())), -1.0, 1.0))
+    away = np.arccos(np.clip(np.atleast_2d(directions) @ (r / -math.hypot(*r.tolist())), -1.0, 1.0))  # from the nadir
     return (away - horizon) / radius, radius * math.cos(horizon) / math.sin(horizon)
 
 
@@ -234,6 +234,7 @@ def stray_sources(
     share = unhidden(sources, r_km, bodies.direction[sun[0]] if len(sun) else np.zeros(3), sky)
     free = np.flatnonzero(share > 0.0)
     names, directions = sources.name[free], sources.direction[free]
+    # A partly hidden source has the magnitude of its free part, and so has each element of the Earth that of its light.
     v_mag = sources.v_mag[free] - 2.5 * np.log10(share[free])
     if sky.earth and len(sun):
         pieces, square_degrees = _pieces(np.asarray(r_km, dtype=float), rings, sectors)
@@ -285,6 +286,8 @@ def _radiance(
         if nearest < radius:
             out[n] = sun_s10 * albedo * max(cosine, 0.0) / math.pi
             continue
+        # Density at the tangent point relative to the ground, and the optical depth from the Sun to it in units of the
+        # vertical depth at the ground.
         thinning = math.exp(-(nearest - radius) / SCALE_HEIGHT_KM)
         way_in = thinning * _air_mass(abs(cosine))
         if cosine < 0.0:

@@ -21,6 +21,7 @@ def extinction_over_av(wavelength_nm: FloatArray) -> FloatArray:
     The optical polynomials are valid from 1.1 to 3.3 µm⁻¹ (303 to 909 nm), the infrared power law beyond 909 nm; below
     303 nm the value is constant.
     """
+    # The wave number in µm⁻¹, limited to the range of the optical polynomials.
     x = 1000.0 / np.asarray(wavelength_nm, dtype=float)
     y = np.clip(x, 1.1, 3.3) - 1.82
     optical = polynomial.polyval(y, _OPTICAL_A) + polynomial.polyval(y, _OPTICAL_B) / R_V

@@ -93,6 +93,7 @@ def _cells() -> FloatArray:
         count = max(3, round(360.0 * widest / _BAND_DEG))
         ra = np.linspace(0.0, 2.0 * math.pi, count + 1)
         sines = np.broadcast_to([math.sin(south), math.sin(north)], (count, 2))
+        # At the wider edge of a band its cells are about as wide as the band is high.
         cells.append(np.column_stack([ra[:-1], ra[1:], sines]))
     return np.concatenate(cells)
 

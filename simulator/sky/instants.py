@@ -76,6 +76,7 @@ class Instants:
         r_km, v_km_s = from_earth(orbit, t_s, *centred)
         position_au, velocity_km_s = barycentric_state(clock, t_s, r_km, v_km_s)
         sun_au = sun_position_au(clock, t_s)
+        # Arguments of latitude refer to the plane in which orbits around the centre are usually described.
         plane = "equator_of_date" if orbit.centre == "Earth" else "ecliptic"
         return cls(
             t_s,

@@ -79,6 +79,7 @@ def library() -> tuple[FloatArray, dict[str, FloatArray]]:
     lines = _lines("pickles1998.csv")
     table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
     spectra = dict(zip(lines[0].split(",")[1:], table[:, 1:].T, strict=True))
+    # The geometric mean is the mean in magnitudes, in which spectra are interpolated between types as well.
     for between, (one, other) in _BETWEEN.items():
         spectra[between] = np.sqrt(spectra[one] * spectra[other])
     return table[:, 0], spectra

@@ -70,6 +70,7 @@ def planet_v(name: str, from_sun_au: FloatArray, from_observer_au: FloatArray, e
     """
     r, delta = np.linalg.norm(from_sun_au, axis=-1), np.linalg.norm(from_observer_au, axis=-1)
     sun_ray, sight = from_sun_au / r[..., None], from_observer_au / delta[..., None]
+    # The phase angle is that between the ray from the Sun and the line of sight; atan2 is accurate at all angles.
     sine = np.linalg.norm(np.cross(sun_ray, sight), axis=-1)
     alpha = np.degrees(np.arctan2(sine, np.sum(sun_ray * sight, axis=-1)))
     if name in _PHASE_CURVES:

@@ -73,6 +73,7 @@ class Photometer:
         half = np.diff(wavelength_nm, prepend=wavelength_nm[0]) / 2
         weight = half + np.append(half[1:], 0.0)
         both = self._integrals(wavelength_nm, moments * weight[:, None])
+        # The dataclass is frozen, as photometers are shared; these tables and caches are assigned only here.
         for name, value in (
             ("_wavelength_nm", wavelength_nm),
             ("_efficiency", efficiency),

@@ -130,6 +130,7 @@ class SatelliteList(NamedTuple):
             own_rad = np.arcsin(np.minimum((speed * look.exposure_s + self.radius_km) / distance_km, 1.0))
             off_axis = np.arccos(np.clip(away_km @ look.boresight / distance_km, -1.0, 1.0))
             close = (off_axis < look.reach_rad + own_rad + _SHIFT_RAD) & (distance_km > LEAST_KM)
+        # The few satellites near the field are then tested for the Earth in front of them and for its shadow.
         rows = np.flatnonzero(close)
         share = np.ones(len(rows))
         if has_disk(sky, here.r_km[0]):
@@ -196,6 +197,8 @@ def load_satellites(given: SatelliteParameters, clock: Clock, folder: Path) -> S
         return None
     path = folder / given.file
     orbits = ElementList.read(path, clock, given.max_age_days)
+    # Values of all satellites first, then those of single ones. A diameter or albedo of a satellite's own replaces the
+    # common magnitude.
     magnitude = np.empty(len(orbits))
     radius_km = np.full(len(orbits), given.diameter_m / 2000.0)
     magnitude[:] = (
@@ -236,6 +239,7 @@ def sunlit_share(r_km: FloatArray, sun_km: FloatArray) -> FloatArray:
     radius_rad = np.arcsin(RADIUS_KM["Sun"] / distance_km)
     share = np.ones(len(r_km))
     for k in range(len(r_km)):
+        # The Earth's limb on the disk of the Sun, as seen from the satellite.
         offset, curvature = (float(x[0]) for x in limbs(to_sun[k] / distance_km[k], radius_rad[k : k + 1], r_km[k]))
         if offset < 1.0:
             share[k] = share_before_limb(offset, curvature, 0.0, 1.0, "lommel_seeliger") if offset > -1.0 else 0.0

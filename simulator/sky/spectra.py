@@ -89,10 +89,12 @@ def _along(line: Sequence, key: FloatArray, wavelength_nm: FloatArray) -> FloatA
     """Spectra (N, W) of stars of V = 0 at coordinates `key` (N,) of a sequence."""
     inside = np.clip(key, line.key[0], line.key[-1])
     photons = np.exp(_interpolator(line)(inside))
+    # The excess over the reddest colour is a colour excess E(B−V) of interstellar dust.
     beyond = key - line.key[-1]
     red = beyond > 0.0
     if red.any():
         photons[red] *= 10.0 ** (-0.4 * beyond[red, None] * relative_extinction(line.wavelength_nm))
+    # The scaling to V = 0 comes after the reddening, which changes V.
     photons *= (V0_PHOTONS_S_CM2_NM / V_EFFECTIVE_NM / mean_v(line.wavelength_nm, photons))[:, None]
     return _resampled(line.wavelength_nm, photons, wavelength_nm)
 

@@ -31,6 +31,7 @@ def find_target(name: str, catalog: StarCatalog) -> str | int:
     for body in RADIUS_KM:
         if _folded(body) == wanted:
             return body
+    # A proper name leads to a designation, and a designation to a row; anything else may be a catalogue number.
     proper = {_folded(proper): star for star, proper in proper_names().items()}
     designated = designation_rows(catalog)
     rows = {_folded(star): row for star, row in designated.items()}
