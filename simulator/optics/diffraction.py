@@ -120,6 +120,8 @@ class Images:
         half_px: int,
     ) -> None:
         self.aspect, self.diffusion_px, self.contrast = aspect, diffusion_px, contrast
+        # All wavelengths are sampled on the grid of the shortest, so that their sum is a sum of arrays. The division by
+        # λN² converts the intensity per (λN)² to that per square pixel.
         self.finest = float(lambda_n_px.min())
         self.samples = sample_grid((half_px + 1.0) * max(1.0, 1.0 / aspect) + 4.0 * diffusion_px, self.finest)
         self.light = np.array(

@@ -31,6 +31,7 @@ def add_disk(image: FloatArray, xy: ArrayLike, radius_px: float | tuple[float, f
     radius_x, radius_y = (radius_px, radius_px) if isinstance(radius_px, int | float) else radius_px
     if not (math.isfinite(x) and math.isfinite(y)):
         return
+    # Pixels that the disk may touch, with centres at integer coordinates, and their edges in radii of the disk.
     left, right = max(math.ceil(x - radius_x - 0.5), 0), min(math.floor(x + radius_x + 0.5), width - 1)
     top, bottom = max(math.ceil(y - radius_y - 0.5), 0), min(math.floor(y + radius_y + 0.5), height - 1)
     if left > right or top > bottom:

@@ -183,6 +183,7 @@ def _absorbed(camera: Camera, degree: int) -> FloatArray:
     """Coefficients (13, 2, N, N) of the displacements that a calibration fits, by Gauss–Legendre quadrature."""
     nodes, weights = leggauss(degree + 2)  # exact up to twice the degree
     u, v = np.meshgrid(nodes, nodes, indexing="ij")
+    # Normalised image coordinates of the nodes, in which the terms of a lens model are defined.
     x = (0.5 * ((u + 1.0) * camera.width - 1.0) - camera.cx) / camera.fx
     y = (0.5 * ((v + 1.0) * camera.height - 1.0) - camera.cy) / camera.fy
     square, zero, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)

@@ -33,6 +33,7 @@ class Drift(NamedTuple):
     def at(self, t_s: FloatArray) -> FloatArray:
         """Unit vectors (N, K, 3) at moments (N, K)."""
         vectors = np.zeros((*t_s.shape, 3))
+        # Horner's scheme, from the highest power.
         for power in range(self.coefficients.shape[1] - 1, -1, -1):
             vectors = vectors * t_s[..., None] + self.coefficients[:, None, power]
         return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))

@@ -62,6 +62,7 @@ def ghost_sources(
     centre = np.array([camera.cx, camera.cy])
     positions, light, radii = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for ghost in ghosts:
+        # A ghost may be in the image although its source is outside, so all sources are examined.
         position = centre + ghost.scale * (xy - centre)
         share = ghost.flux * electrons
         seen = (

@@ -69,6 +69,7 @@ def relative_illumination(camera: Camera, vignetting: Vignetting, theta_rad: Arr
     -------
     array of the same shape, 0 or more
     """
+    # Factors that are off are skipped; NaN, from directions without an image, becomes 0 at the end.
     theta = np.asarray(theta_rad, dtype=float)
     factor = np.ones_like(theta)
     if vignetting.natural:

@@ -248,6 +248,8 @@ def draw_jitter(
         return None
     matrix = camera_axes(parameters, body_to_camera)
     rms_rad = np.array(parameters.rms_arcsec) * ARCSEC_RAD
+    # Fixed amplitudes and random phases for sequences and tables, Gaussian amplitudes for frames; see the module's
+    # docstring.
     if over_sequence or spectrum.name == "table":
         frequency, weight = _lines_in_all_octaves(spectrum, rng)
         amplitude, phase = rms_rad * np.sqrt(2.0 * weight), math.tau * rng.random(frequency.shape)

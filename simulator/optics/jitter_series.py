@@ -95,6 +95,7 @@ class SampledJitter:
         """Mean rotation vector (3,) over an exposure about t = 0, exact."""
         ends = self.origin_s + np.array([-0.5, 0.5]) * exposure_s
         self._refuse_outside(ends)
+        # The spline is integrated exactly, while samples within the exposure may be few.
         total = self.series.spline.integrate(float(ends[0]), float(ends[1]))
         return np.asarray(self.matrix @ total / exposure_s - self.offset_rad)
 

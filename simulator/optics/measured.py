@@ -65,6 +65,7 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     for _ in range(_MOST_WINDOWS):
         pixels, stamps = _stamps(light, at, column, row, half)
         fits = _fit(pixels, stamps, fits, _ALL)
+        # The ellipse is common to all sub-pixel positions, as it is to the stars of a frame.
         fits[:, 2:] = np.median(fits[:, 2:], axis=0)
         fits = _fit(pixels, stamps, fits, _POSITION)
         x, y = fits[:, :2].mean(axis=0)
@@ -110,6 +111,7 @@ def _fit(pixels: FloatArray, stamps: FloatArray, start: FloatArray, free: int) -
             moved = np.zeros(5)
             moved[k] = _STEP
             slopes[k + 1] = (_gaussian(pixels, fits + moved) - _gaussian(pixels, fits - moved)) / (2.0 * _STEP)
+        # The flux is linear, so its best value for the current shape needs no iteration.
         flux = (shape * data).sum(axis=1) / (shape**2).sum(axis=1)
         model = flux[:, None] * shape
         weight = 1.0 / (1.0 + CONTRAST * model / model.max(axis=1, keepdims=True))

@@ -56,6 +56,7 @@ def transfer(frequency: FloatArray, contrast: float) -> FloatArray:
 
 def gaussian_shares(offsets_px: FloatArray, sigma_px: float, contrast: float) -> FloatArray:
     """Response (N,) of pixels whose centres are at offsets (N,) from a Gaussian line of unit light."""
+    # Gauss–Legendre quadrature over the pixel, divided into panels that are narrow compared with the Gaussian.
     panels = max(1, math.ceil(1.0 / (_WIDE_STEP * sigma_px)))
     middles = (np.arange(panels) + 0.5) / panels - 0.5
     u = (middles[:, None] + 0.5 * _NODES / panels).ravel()

@@ -156,6 +156,8 @@ class PsfSet:
         if not (self._model.polychromatic or self._varies):
             return [(np.arange(len(xy)), np.ones(len(xy)), self._psfs[0][0])]
         zone, stars = self.zones(xy) * count, np.arange(len(xy))
+        # A star between two tabulated mean wavelengths is a mixture of both images, with the share that gives its own
+        # mean wavelength.
         at = np.interp(np.asarray(wavelength_nm, dtype=float), self._means_nm, np.arange(count))
         low = np.minimum(at.astype(np.int64), max(count - 2, 0))
         part = at - low
@@ -280,6 +282,7 @@ def _spectra(
     middles = (_FINE_NM[1:] + _FINE_NM[:-1]) / 2.0
     means = shares @ middles
     order = np.argsort(means, kind="stable")
+    # Nodes at equal ratios of wavelength, because an image scales with the wavelength.
     level = np.cumsum(shares.mean(axis=0))
     low, high = (float(middles[np.searchsorted(level, part)]) for part in (_TAIL, 1.0 - _TAIL))
     nodes = np.geomspace(low, max(high, low * 1.01), FEW_NODES if varies else NODES)

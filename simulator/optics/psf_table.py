@@ -213,6 +213,7 @@ def outside(
     sums = np.empty((len(at_px), len(at_px)))
     for b, y in enumerate(at_px):
         for a, x in enumerate(at_px):
+            # Distances in pixels along columns, also if pixels are not square; the table is interpolated linearly.
             r = np.hypot((columns - x), ((rows - y) * row_px)[:, None])[beyond]
             position = r * wing_per_px
             m = np.minimum(position.astype(np.int64), len(wing) - 2)

@@ -88,6 +88,7 @@ def intensity(
 
 def mean_slope(coefficients: FloatArray, obscuration: float = 0.0) -> FloatArray:
     """Mean of ∂W/∂ρ over the pupil (waves), (Q, 2): half the position of the centroid in λN."""
+    # Mean over an annulus: that of the disk minus that of the hole, weighted by their areas.
     low, high = _mean_slope(coefficients, obscuration), _mean_slope(coefficients, 1.0)
     if obscuration == 0.0:
         return high

@@ -116,6 +116,8 @@ def rolling_paths(
     def moments(u: FloatArray) -> FloatArray:
         return _moments_in_windows(rows, np.tile(u, (count, 1)), line_time_s)
 
+    # A star that moves with or against the shutter is exposed for a longer or shorter time than the nominal one, and
+    # the sampling of its path is chosen for the longest.
     ends = moments(np.array([-0.5, 0.5]) * exposure_s)
     exposed = np.abs(ends[:, 1] - ends[:, 0]) / exposure_s
     held = exposed < _LONGEST  # also false for NaN, where the iteration did not converge

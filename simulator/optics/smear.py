@@ -103,6 +103,7 @@ def star_paths(
         Fraction of the exposure of each moment; their sum is 1.
     """
     directions = np.atleast_2d(np.asarray(directions, dtype=float))
+    # The number of moments follows from the length of the longest path, including that of the jitter.
     turn = -np.asarray(rate_rad_s, dtype=float) * exposure_s
     limit_rad = path_limit_rad(camera, margin_px)
     streak_px = longest_path_px(camera, directions, turn, limit_rad)
@@ -127,6 +128,7 @@ def wander_length_px(camera: Camera, jitter: JitterMotion, exposure_s: float, li
     The sampling must be sufficient at the maximum speed: twice the rms rate gives the mean image to 1e-4 of its peak
     (compared with 20,000 steps). A pinhole stretches by 1/cos² θ at the edge.
     """
+    # Rotation about x and y displaces all stars by the angle, rotation about z in proportion to their radius.
     x, y, z = jitter.rms_rate_rad_s() * exposure_s
     edge = min(limit_rad, math.radians(75.0)) if camera.projection == "pinhole" else limit_rad
     stretch, radius = (1.0 / math.cos(edge) ** 2, math.tan(edge)) if camera.projection == "pinhole" else (1.0, edge)

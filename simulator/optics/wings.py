@@ -118,6 +118,7 @@ def _fill_line(
     if abs(dy) < radius:
         full = math.sqrt(max(radius * radius - dy * dy, 0.0))
         inner_left, inner_right = math.ceil(x - full), math.floor(x + full)
+    # On either side of the gap, pixels inside `radius` have the plain table, and those beyond it are in the taper.
     for side in range(2):
         begin, end = (first, min(gap[0] - 1, last)) if side == 0 else (max(gap[1] + 1, first), last)
         rim_begin, rim_end = (begin, min(inner_left - 1, end)) if side == 0 else (max(inner_right + 1, begin), end)
@@ -139,6 +140,7 @@ def _add_line(
     cut_left, cut_right = max(left, 0), min(right, width - 1)
     if row < 0 or row >= height or cut_left > cut_right:  # entirely outside the image
         cut_left, cut_right = right + 1, right
+    # Left of the image, on the image, and right of it: three loops without a condition inside.
     for i in range(left - low_x, cut_left - low_x):
         sums[i] += line[i]
     pixels, part = image[min(max(row, 0), height - 1), cut_left:], line[cut_left - low_x :]
