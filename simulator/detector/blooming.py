@@ -86,6 +86,8 @@ def _sweep(electrons: FloatArray, excess: FloatArray, column: int, full_well_e: 
     rows = excess.size
     arriving = np.zeros(rows)
     carried = 0.0
+    # Each sweep carries charge along the column, drops as much of it into a pixel as fits, and picks up half of the
+    # pixel's own excess. Both sweeps see the column as it was before, so that neither direction is preferred.
     for row in range(rows):
         fits = min(carried, full_well_e - electrons[row, column])
         arriving[row] += fits

@@ -67,6 +67,7 @@ def draw_cosmic_rays(
     exposure; `particles` replaces the kind given by the detector's parameters."""
     rays = particles or detector.cosmic_rays
     n = int(rng.poisson(mean_cosmic_rays(detector, exposure_s, rays)))
+    # Five deviates per particle: x and y of the entry, sin²θ, azimuth, and charge.
     uniform = rng.random((n, 5))
     cos = np.sqrt(1.0 - uniform[:, 2])  # never 0, because deviates are below 1
     azimuth = math.tau * uniform[:, 3]
@@ -74,6 +75,7 @@ def draw_cosmic_rays(
     reach_um = rays.depth_um * np.sqrt(uniform[:, 2]) / cos  # depth × tan θ
     along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     length = rays.depth_um / cos
+    # Deviates below the truncated fraction give the truncated distribution, relative to its most probable value.
     deviate = landau_quantile(uniform[:, 4] * LANDAU_SHARE) - LANDAU_MODE
     charge = rays.charge_e_um * length * np.maximum(1.0 + _XI_SHARE * deviate, 0.0)
     return CosmicRayTracks(start, start + along * reach_um[:, None] / detector.pitch_um, length, charge)

@@ -37,6 +37,7 @@ def hot_defects(
         dark.flat[chosen] = rng.exponential(detector.hot_pixel_dark_e_s * dark_factor, size=chosen.size)
         where.flat[chosen] = True
     if columns:
+        # All pixels of a hot column share one current.
         rng = stream(seed, "hot_columns")
         chosen = _some_columns("hot_columns", detector.hot_columns, detector.width, rng)
         dark[:, chosen] += rng.exponential(detector.hot_column_dark_e_s * dark_factor, size=chosen.size)

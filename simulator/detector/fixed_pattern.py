@@ -97,6 +97,7 @@ def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern
     dead = dead_defects(detector, seed)
     if dead is not None:
         prnu = np.where(dead, 0.0, prnu)
+        # A detector without dark current keeps its scalar 0, with which the effect is skipped.
         dark = np.where(dead, 0.0, dark) if np.any(np.asarray(dark) > 0) else dark
     telegraph = telegraph_pixels(detector, factor, seed)
     if telegraph is not None and dead is not None:

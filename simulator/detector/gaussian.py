@@ -74,6 +74,7 @@ def gaussian_from_bits(bits: Bits, out: SingleArray) -> None:
     for i in range(bits.size):
         x = (np.float32(_words_to_middle(bits[i])) + _HALF) * _TWICE  # |2u − 1|
         p = (np.float32(tail_words(bits[i])) + _HALF) * _UNIT  # the smaller of u and 1 − u
+        # The polynomial is in −ln 4u(1 − u), shifted to the middle of its range for accuracy.
         t = -_log(np.float32(4.0) * p * (_ONE - p)) - _CENTRE
         number = x * polynomial(t, _P)
         out[i] = number if bits[i] >= _MIDDLE else -number

@@ -60,6 +60,8 @@ def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
     """
     a, b = np.asarray(pair[0], dtype=np.float64).ravel(), np.asarray(pair[1], dtype=np.float64).ravel()
     n = a.size
+    # The pattern is common to both frames and cancels in the difference; the noise is independent and does not
+    # contribute to the covariance.
     a, b = a - a.mean(), b - b.mean()
     squares, products = 0.5 * (a - b) ** 2, a * b
     noise = float(squares.sum()) / (n - 1)
@@ -94,6 +96,7 @@ def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True
     error = np.array([level[1].error for level in levels])
     used = np.arange(signal.size) <= int(np.argmax(variance))
 
+    # A weighted straight line; the bias pair is its point at zero signal.
     x = np.concatenate([[0.0], signal[used]])
     y = np.concatenate([[dark_noise.value], variance[used]])
     weight = 1.0 / np.concatenate([[dark_noise.error], error[used]]).clip(1e-12) ** 2

@@ -97,6 +97,7 @@ class PixelPipeline:
         """
         if not (signal.flags.c_contiguous and out.flags.c_contiguous):
             raise ValueError("the per-pixel pipeline works on C-contiguous arrays only")
+        # Each random step draws its key once per image; the noise of all pixels follows from it.
         keys = np.zeros((len(self._kernels), 2), dtype=np.uint64)
         for k, source in self._random:
             if isinstance(source, str):

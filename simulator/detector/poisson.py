@@ -233,6 +233,8 @@ def probability(n: float, mean: float) -> float:
     """Poisson probability of n, computed from its distance to the peak to avoid cancellation (Loader 2000)."""
     if n == 0.0:
         return math.exp(-mean)
+    # Loader's form: P(n) = exp(−δ(n) − D(n)) / √(2πn), with δ the error of Stirling's formula and the deviance
+    # D = n ln(n/λ) + λ − n.
     if n < 16.0:
         stirling = _STIRLING[int(n)]
     else:

@@ -117,6 +117,7 @@ def saturation_dn(detector: DetectorParameters) -> float:
     """
     gain = gain_e_per_dn(detector)
     noise_e = electronics_noise_e(detector)
+    # At the full well, s = 1, the non-linearity is the factor 1 + c₂ + c₃.
     well_e = (detector.full_well_e - SATURATION_MARGIN_SIGMA * noise_e) * (1.0 + sum(detector.nonlinearity))
     well = well_e / gain + detector.offset_dn
     top = highest_dn(detector)

@@ -61,6 +61,7 @@ class TelegraphPixels:
                 some, level = _last_before(t_s / cell_s - cell, counts, level, rng, process.high_share)
             else:
                 some = number >= _POISSON[0]
+            # A pixel is decided by the first cell, going backwards, in which it has an event.
             found = some[open_]
             high[open_[found]] = level[open_[found]]
             open_ = open_[~found]
@@ -116,6 +117,7 @@ def _last_before(
     left, now = counts[pixels], last[pixels]
     times = np.ones(len(pixels))
     while pixels.size:
+        # `left` events remain, and `now` is the level drawn at the latest of them.
         times = times * rng.random(pixels.size) ** (1.0 / left)
         inside = (times < within) & ~some[pixels]
         some[pixels[inside]] = True

@@ -37,6 +37,7 @@ def transfer(electrons: FloatArray, cti_parallel: float, cti_serial: float, corn
         Position of the output node: ``top_left`` (pixel (0, 0)), ``top_right``, ``bottom_left`` or ``bottom_right``.
     """
     flip_rows, flip_columns = corner.startswith("bottom"), corner.endswith("right")
+    # The kernel transfers towards pixel (0, 0); for other corners the image is flipped before and after.
     seen = electrons[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
     late_rows, late_columns = (late_shares(n, c) for n, c in zip(seen.shape, (cti_parallel, cti_serial), strict=True))
     charge = trail(np.ascontiguousarray(seen), late_rows, late_columns)
@@ -69,6 +70,8 @@ def trail(electrons: FloatArray, late_rows: FloatArray, late_columns: FloatArray
     line towards column 0, out[r, x] = Σₖ late_columns[k, x − k] line[r, x − k]; a new array."""
     rows, columns = electrons.shape
     out, line = np.zeros_like(electrons), np.empty(columns)
+    # Charge from k rows nearer to the register arrives late, with this row. A row is complete before its serial
+    # transfer, as in the detector.
     for row in range(rows):
         line[:] = 0.0
         for k in range(min(late_rows.shape[0], row + 1)):
