@@ -69,7 +69,7 @@ class Damage:
 
 def arrhenius(temperature_k: float, reference_k: float, energy_ev: float) -> float:
     """Ratio of thermal generation at two temperatures, exp(−E/k (1/T − 1/T₀))."""
-    per_k = ELEMENTARY_CHARGE_C / BOLTZMANN_J_K * energy_ev
+    per_k = ELEMENTARY_CHARGE_C / BOLTZMANN_J_K * energy_ev  # E/k in kelvin
     return math.exp(per_k * (1.0 / reference_k - 1.0 / temperature_k))
 
 
@@ -89,6 +89,8 @@ def glass_transmission(kind: str, dose_krad: float, path_mm: float, estimate: Es
 
 def damage(detector_dose: Dose, glass_dose: Dose, pixel: Pixel, environment: Environment) -> Damage:
     """Damage of a camera by the doses of its detector and its glass."""
+    # Interactions and mean dark current are both proportional to dose and depleted volume; their ratio is the mean
+    # current of one interaction. Only CCDs transfer charge.
     estimate, dose_mev_g = environment.estimate, detector_dose.displacement_mev_g
     volume_um3 = pixel.area_um2 * environment.depletion_um
     mean_e_s = displacement_dark_e_s(dose_mev_g, volume_um3, pixel.reference_c, estimate)

@@ -72,12 +72,13 @@ def orbit_radiation(orbit: Trajectory, environment: Environment, samples: int = 
         If the package of the trapped particles is not installed.
     """
     t_s, positions = orbit_positions(orbit, samples)
-    year = float(orbit.clock.jyear(float(t_s[-1]) / 2))
+    year = float(orbit.clock.jyear(float(t_s[-1]) / 2))  # the field drifts too slowly to matter within a month
     protons = Spectrum(PROTON_MEV, np.zeros(len(PROTON_MEV)))
     electrons = Spectrum(ELECTRON_MEV, np.zeros(len(ELECTRON_MEV)))
     if environment.trapped != "none":
         belts = TrappedBelts(environment.solar)
         protons, electrons = belts.mean_spectra(positions, year)
+    # Solar protons come from outside, so the geomagnetic cut-off decides which of them reach the orbit.
     rigidity_gv = proton_rigidity_gv(solar.EVENT_MEV)
     return OrbitRadiation(
         protons, electrons, GalacticCosmicRays(environment.solar).transmission(positions, rigidity_gv)

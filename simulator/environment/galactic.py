@@ -97,6 +97,7 @@ class GalacticCosmicRays:
             steps = 0.5 * (density[1:] + density[:-1]) * np.diff(_GRID_GEV)
             # The flux above each energy is accumulated from the top, where it is small, to keep its digits.
             above = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+            # Rigidity is momentum per charge; the grid is in energy per nucleon.
             rest = PROTON_GEV if kind is PROTON else NUCLEON_GEV
             momentum = np.sqrt(_GRID_GEV * (_GRID_GEV + 2.0 * rest)) * kind.mass_number / kind.charge
             self._above.append((momentum, above))

@@ -79,6 +79,7 @@ _COLLISION_MEV_CM2_G = 0.153_537
 
 
 def _power_law(x: ArrayLike, points: FloatArray, values: FloatArray) -> FloatArray:
+    # Linear in logarithms, which is a power law between two points.
     return np.asarray(np.exp(np.interp(np.log(x), np.log(points), np.log(values))))
 
 

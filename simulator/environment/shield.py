@@ -62,6 +62,7 @@ def electron_dose_mev_g(spectrum: Spectrum, shield_mm: float) -> float:
     thickness = shield_g_cm2(shield_mm)
 
     def loss(energy: FloatArray) -> FloatArray:
+        # The residual range behind the shield gives the energy there, and the energy its loss in silicon.
         rest = np.maximum(matter.electron_range_g_cm2(energy) - thickness, 1e-9)
         return matter.electron_stopping(matter.electron_energy_mev(rest))
 
@@ -80,6 +81,7 @@ def _dose(spectrum: Spectrum, least_mev: float, loss: Callable[[FloatArray], Flo
     low, top = max(least_mev, float(spectrum.energy_mev[0])), float(spectrum.energy_mev[-1])
     if low >= top:
         return 0.0
+    # Geometric steps of the energy above the limit; the first edge is then moved to the limit itself.
     edges = low * (1.0 + np.geomspace(1e-5, top / low - 1.0, _POINTS))
     edges[0] = low
     middle = np.sqrt(edges[1:] * edges[:-1])

@@ -35,6 +35,7 @@ def reaching(fluence: Spectrum, transmission: FloatArray) -> Spectrum:
     -----
     Protons between two energies arrive with the mean of the fractions at both.
     """
+    # Particles in each interval of energy are attenuated, and their sum from above is the new integral spectrum.
     between = -np.diff(fluence.above) * 0.5 * (transmission[1:] + transmission[:-1])
     last = fluence.above[-1] * transmission[-1]
     return Spectrum(fluence.energy_mev, np.append(np.cumsum(between[::-1])[::-1] + last, last))

@@ -82,7 +82,7 @@ class Transients:
     def flux(self, t_s: FloatArray, r_km: FloatArray) -> LocalFlux:
         """Rates at N positions, from times (N,), seconds after the epoch, and GCRS positions (N, 3), km."""
         positions = itrs_km(self._clock, t_s, r_km)
-        protons = helium = electrons = np.zeros(len(t_s))
+        protons = helium = electrons = np.zeros(len(t_s))  # never modified in place, so one array serves all three
         trapped = np.zeros((len(t_s), len(BEHIND_MEV) - 1))
         if self._galactic is not None:
             protons, helium = self._galactic.flux_cm2_s(positions, self._least_gv)
@@ -96,6 +96,7 @@ class Transients:
     def particles(self, t_s: float, r_km: FloatArray, depth_um: float) -> tuple[CosmicRays, ...]:
         """Groups of particles at one position, for a collection depth of the detector; empty groups are omitted."""
         here = self.flux(np.array([t_s]), np.asarray(r_km)[None])
+        # Fast electrons and cosmic-ray protons ionise alike, and form one group.
         groups = [
             (here.galactic_protons[0] + here.trapped_electrons[0], MIP_E_UM),
             (here.galactic_helium[0], MIP_E_UM * HELIUM_CHARGE_RATIO),

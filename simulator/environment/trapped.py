@@ -129,6 +129,8 @@ def _shells(model: Any, itrs_km: FloatArray, years: float) -> tuple[FloatArray, 
     from astropy.coordinates import EarthLocation
     from astropy.time import Time
 
+    # The rotation to the east, against the drift, gives a position the longitude relative to the anomaly that it would
+    # have had at the epoch of the field.
     angle = np.radians(DRIFT_DEG_YEAR * years)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     location = EarthLocation.from_geocentric(*(turn @ itrs_km.T), unit=units.km)
