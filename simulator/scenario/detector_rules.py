@@ -60,6 +60,7 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[Violation]:
 
 def telegraph_times(values: Mapping[str, Any]) -> Iterator[Violation]:
     """The levels of random telegraph pixels must outlast the exposure; `values` as in `contradictions`."""
+    # The detector uses the level at mid-exposure for the whole exposure (`simulator.detector.telegraph`).
     telegraph = {name: values[f"detector.telegraph.{name}"] for name in ("low_s", "high_s")}
     shortest = min(telegraph, key=lambda name: telegraph[name])
     if values["detector.telegraph.pixel_fraction"] > 0 and values["detector.exposure_s"] > 0.1 * telegraph[shortest]:

@@ -65,7 +65,7 @@ def read_text(path: Path, name: str, location: Location | None = None, key: str 
     named = f": {name}" if location else ""
     try:
         with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
+            raw = stream.read(MAX_BYTES + 1)  # one byte more shows that the file is too large
     except (FileNotFoundError, NotADirectoryError):
         return Problem(at, key, f"no such file{named}")
     except IsADirectoryError:
@@ -77,7 +77,7 @@ def read_text(path: Path, name: str, location: Location | None = None, key: str 
     if len(raw) > MAX_BYTES:
         return Problem(Location(name), "", f"is larger than {MAX_BYTES // 1000} kB, too large for a scenario")
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig")  # without a byte order mark, which some editors write
     except UnicodeDecodeError as error:
         before = raw[: error.start]
         line, column = before.count(b"\n") + 1, len(before) - before.rfind(b"\n")
@@ -194,6 +194,7 @@ class _Builder:
                     self.report(event, "only YAML 1.2 is supported; remove the %YAML line")
                 if documents == 2:
                     self.report(event, "second document; a file must contain one scenario only")
+                # Further documents are parsed too, so that their errors are reported, but only the first is used.
                 read = self.node(next(self.events), 0)
                 if documents == 1:
                     node = read
@@ -264,6 +265,7 @@ class _Builder:
         self.check_depth(event, depth)
         table = Table(location)
         while type(key_event := next(self.events)).__name__ != "MappingEndEvent":
+            # A key may be an alias of a text; any other node that is not a scalar has no value and is reported.
             key_node = self.node(key_event, depth + 1)
             key = getattr(key_event, "value", None)
             if type(key_event).__name__ == "AliasEvent" and isinstance(key_node, Value):

@@ -74,6 +74,8 @@ class Key:
 @cache
 def keys_of(section: type, prefix: str = "") -> dict[str, Key]:
     """Keys of a section (a pydantic model or a dataclass) by name, in order."""
+    # A pydantic model states limits in its annotations; plain dataclasses, which do not depend on pydantic, have them
+    # in `LIMITS`.
     hints = typing.get_type_hints(section, include_extras=True)
     limits = LIMITS.get(section, {})
     keys = {}
@@ -149,6 +151,7 @@ def check_value(key: Key, data: Any) -> tuple[Any, str]:
     Strict: text is not a number even if it looks like one, true is not 1, and 1.5 is not an integer. Integers are
     accepted for floats, lists for tuples, and ISO 8601 text for dates.
     """
+    # The error quotes the value as it was given; `undated` is the reason if a date does not exist.
     base = _strip(key.annotation)[0]
     given, undated = data, ""
     if base is datetime and isinstance(data, str):
@@ -234,6 +237,7 @@ def _number(limit: float | None) -> str:
 
 
 def _hint(annotation: Any, value: Any) -> str:
+    # Suggestions for common mistakes: misspelt words, quoted numbers and bools, units, decimal commas.
     accepted = {_strip(part)[0] for part in _branches(annotation)}
     if isinstance(value, str):
         choices = [word for part in _branches(annotation) if get_origin(part) is Literal for word in get_args(part)]
@@ -335,6 +339,7 @@ def _join(parts: list[str]) -> str:
 
 def _parameter_docs(doc: str) -> dict[str, str]:
     """Descriptions from a numpydoc ``Parameters`` section."""
+    # A line "a, b : type" begins the description of one or several names, an empty line ends it.
     words: dict[str, str] = {}
     names: list[str] = []
     for line in doc.partition("----------\n")[2].splitlines():

@@ -105,6 +105,7 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
     # so such a name is passed on to `read_text`, which reports it.
     beside = os.path.normpath(os.path.join(folder, base))
     base_name = str(_file_or_shipped(Path(beside), base)) if "\0" not in base else beside
+    # Files are compared by their real paths, so that a circle through symbolic links is found.
     real = os.path.realpath(base_name) if "\0" not in base_name else base_name
     known = [seen for seen, _ in chain]
     if real in known:
@@ -126,6 +127,7 @@ def absolute_files(tree: Table, folder: str) -> Table:
         tree = merge(tree, Table(tree.location, {"heads": Entry(heads.location, value)}))
     for path in FILE_KEYS:
         tables, keys = [tree], path.split(".")
+        # The tables down to the one with the key; the list is shorter if a section is missing.
         for key in keys[:-1]:
             inner = tables[-1].entries.get(key)
             if inner and isinstance(inner.node, Table):

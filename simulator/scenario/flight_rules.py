@@ -42,6 +42,8 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     """Violated rules of a scenario whose frames are solved by the flight build."""
     if v["tracker.engine"] != "flight":
         return
+    # Every difference from what the flight build does is an error, so that a study never shows results of settings that
+    # have not been used.
     for key, known in _METHODS.items():
         if v[key] not in known:
             yield impossible(key, f"the flight build has no '{v[key]}'; use {known[0]}, {_OR}")
@@ -84,6 +86,7 @@ def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
 
 def _half_field_deg(v: Mapping[str, Any], side: str, axis: int) -> float:
     """Angle between the optical axis and the farther border along an axis of the image, without distortion."""
+    # The border is half a detector away from its middle, plus the offset of the principal point.
     pitch = v["detector.pixel_pitch_um"]
     pitch_um = pitch[axis] if isinstance(pitch, tuple) else pitch
     away_px = 0.5 * v[f"detector.{side}"] + abs(v["optics.principal_point_offset_px"][axis])

@@ -74,7 +74,7 @@ class SweptKey:
         if self.log:
             value = math.exp(math.log(self.low) + fraction * (math.log(self.high) - math.log(self.low)))
             value = min(max(value, self.low), self.high)  # rounding of exp(log(x)) may leave the range
-        elif self.whole:  # every integer has the same probability
+        elif self.whole:  # + 1 so that every integer from low to high has the same probability
             return math.floor(self.low + fraction * (self.high - self.low + 1))
         else:
             value = self.low + fraction * (self.high - self.low)
@@ -197,6 +197,7 @@ def _unknown(path: str, keys: Mapping[str, Key]) -> str:
 
 
 def _parse(key: Key, written: str, location: Location, problems: list[Problem]) -> SweptKey | None:
+    # A text that is not a range is a list, whose parts are parsed as YAML like values of --set.
     match = _RANGE.fullmatch(written.replace(" ", ""))
     if match:
         return _range(key, match, location, problems)
@@ -232,6 +233,7 @@ def _range(key: Key, match: re.Match[str], location: Location, problems: list[Pr
     if message:
         problems.append(Problem(location, key.path, message))
         return None
+    # Without a count a range serves for a Latin hypercube only.
     values = _spaced(low, high, count, log) if count else ()
     if whole:
         values = tuple(round(v) for v in values)
@@ -276,6 +278,7 @@ def _whole(annotation: Any) -> bool:
 
 def _check(axis: SweptKey, location: Location, names: NameChecks, problems: list[Problem]) -> bool:
     """Check each value against its key; physical plausibility of the combination is checked later."""
+    # Limits of keys are intervals, so a range without values is valid if both of its ends are.
     ends: tuple[Any, ...] = () if axis.low is None else (axis.low, axis.high)
     candidates = axis.values or (tuple(map(round, ends)) if axis.whole else ends)
     before = len(problems)

@@ -74,6 +74,7 @@ def _contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         for violation in violations(alone | values):
             if violation not in common and violation.key.startswith(OVERRIDDEN):
                 yield violation._replace(key=f"heads[{k}].{violation.key}")
+    # Both need a single camera whose frames they control or calibrate.
     for key in ("sequence.operation.use", "tracker.in_flight_calibration.use"):
         if v[key]:
             yield impossible(key, "is not available with heads; set it to false, or remove heads")

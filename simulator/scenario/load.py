@@ -270,6 +270,8 @@ def _build(
     # Files in options are relative to the working folder, files in a scenario to the scenario's folder.
     tree = merge(tree, absolute_files(options, ""))
     flat = _check_table(tree, ScenarioModel, "", Location(top.source), problems)
+    # Rules and checks run even if there are invalid values, which are missing in `flat`, so that everything is reported
+    # at once.
     allowed = flat.get("allow_unphysical", False)
     for violation in heads.all_violations(flat):
         if not (violation.overridable and allowed):
@@ -374,6 +376,7 @@ def _unknown(name: str, prefix: str, keys: Mapping[str, Key], option: bool) -> s
 
 def _location_of(tree: Table, path: str) -> Location:
     """Location of a key, otherwise that of its section, otherwise the file."""
+    # A part of the path may have the number of an item of a list, as in heads[1].optics.
     location, node = Location(tree.location.source), tree
     for part in path.split("."):
         name, _, number = part.rstrip("]").partition("[")

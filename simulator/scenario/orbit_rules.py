@@ -62,6 +62,7 @@ def _periapsis(v: Mapping[str, Any]) -> Iterator[Violation]:
     """An orbit by elements or by a state must pass above the surface of its centre."""
     centre, a_km = v["orbit.centre"], v["orbit.elements.semi_major_axis_km"]
     position, velocity = v["orbit.state.position_km"], v["orbit.state.velocity_km_s"]
+    # A state outside the sphere of influence is not on a conic about the centre, and has no periapsis there.
     if a_km is not None:
         key, least_km = "elements.semi_major_axis_km", a_km * (1.0 - v["orbit.elements.eccentricity"])
     elif position is not None and velocity is not None and 0.0 < math.hypot(*position) < _INFLUENCE_KM[centre]:

@@ -112,6 +112,7 @@ def _sun_synchronous(v: Values) -> Iterator[Violation]:
 
 
 def _epoch(v: Values) -> Iterator[Violation]:
+    # The mission must end within the ephemeris, with margins for a year of trials or for an orbit.
     epoch, (first, last) = v["epoch"], EPHEMERIS
     span = timedelta(days=366) if v["study.sampling"] == "mission_year" else timedelta(days=2)
     if not first <= epoch <= last - span:
@@ -254,6 +255,7 @@ def _exposure(v: Values) -> Iterator[Violation]:
 
 
 def _converter(v: Values) -> Iterator[Violation]:
+    # The range of the converter must hold more than the noise, and its steps must be smaller than the full well.
     bits, gain = v["detector.adc_bits"], v["detector.gain_e_per_dn"]
     top_dn = math.inf if bits is None else 2**bits - 1
     if v["detector.offset_dn"] >= top_dn:
@@ -279,6 +281,8 @@ def _guide_stars(v: Values) -> Iterator[Violation]:
 
 
 def _least_and_most(low: str, high: str) -> Rule:
+    """Rule that the value of `high`, if there is one, is not below that of `low`."""
+
     def rule(v: Values) -> Iterator[Violation]:
         if v[high] is not None and v[high] < v[low]:
             yield impossible(high, f"{v[high]:g} is less than {low} ({v[low]:g})")

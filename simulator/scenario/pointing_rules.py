@@ -75,6 +75,7 @@ def _waypoints(v: Mapping[str, Any]) -> Iterator[Violation]:
         v["pointing.waypoints.max_rate_deg_s"],
         v["pointing.waypoints.acceleration_deg_s2"],
     )
+    # The mounting does not affect the times and rates of slews, so an identity serves.
     try:
         if points:
             build_slews(limits, Clock(v["epoch"]), np.array([0.0, 0.0, 0.0, 1.0]))

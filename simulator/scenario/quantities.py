@@ -29,6 +29,7 @@ def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
     InputError
         For a quantity whose unit cannot be converted to that of the key.
     """
+    # An unknown path is left to the loader, which reports it.
     if path in keys:
         ending = unit_suffix(keys[path].name)
         value = plain(value, (ending and UNITS[ending].astropy) or "", path)

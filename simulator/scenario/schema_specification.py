@@ -79,5 +79,6 @@ class SpecificationSection(Section):
         """The default limits where no error is specified."""
         if not isinstance(values, dict):
             return values
+        # Any specified error replaces all default limits, so that a scenario can omit roll, pitch or yaw.
         named = any(values.get(f"{axis}_deg") is not None for axis in SPECIFIED_AXES) or values.get("errors")
         return values if named else values | DEFAULT_LIMITS_DEG

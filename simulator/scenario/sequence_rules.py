@@ -28,6 +28,7 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
             yield impossible("sequence.rates", message)
             break
     step_s = v["sequence.step_s"]
+    # Upper limit of the rate: the largest values of its three parts, whatever their directions.
     fastest = math.hypot(*v["pointing.rate_deg_s"])
     fastest += max((math.hypot(p.roll_deg_s, p.pitch_deg_s, p.yaw_deg_s) for p in points), default=0.0)
     if any(v["sequence.slew.turn_deg"]):
@@ -50,6 +51,7 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     epoch = v["epoch"]
     span_s = (last - first).total_seconds()
     for key, at_s in (("sequence.start_s", start_s), ("sequence.frames", start_s + frames * step_s)):
+        # The first condition keeps timedelta from overflowing.
         if not abs(at_s) < span_s or not first <= epoch + timedelta(seconds=at_s) <= last - timedelta(days=2):
             yield impossible(key, "the sequence leaves the ephemeris DE421 (1899 to 2053)")
             return
