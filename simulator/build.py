@@ -169,6 +169,7 @@ def build_scenes(scenario: Scenario, trajectory: Trajectory | None = None) -> Sc
     InputError
         For a target that is not in its sky, or names or files that cannot be used.
     """
+    # Rows of a rolling shutter, and of star images beyond the detector, are exposed one after the other.
     orbit, detector = trajectory or build_orbit(scenario), scenario.detector
     margin_lines = detector.height + 2 * _LARGEST_IMAGE_PX if detector.shutter == "rolling" else 0
     parameters = SceneParameters(

@@ -94,6 +94,7 @@ def _target(name: Any, keys: Mapping[str, Any]) -> str | None:
     from startracker.catalog import load_catalog
 
     try:
+        # Keys whose values are invalid are missing; their errors are reported by other checks.
         sky = load_catalog(keys.get("sky.catalog", "hipparcos"))
         found = find_target(name, sky.brighter_than(keys.get("sky.magnitude_limit", math.inf)))
     except InputError as error:

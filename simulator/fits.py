@@ -122,7 +122,9 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
         ("JEPOCH", observer.epoch_jyear, "Julian epoch of mid-exposure, TT"),
     ]
     cards += [(f"CAM_{k.upper()}", getattr(camera.distortion, k), "Brown-Conrady, OpenCV") for k in _DISTORTION_KEYS]
-    if "detector.pixel_pitch_um" in frame.parameters:  # a frame that was read from a file has no parameters
+    # The camera has focal lengths in pixels. The pitch, from which they follow in millimetres, is only known of a frame
+    # that has been rendered, not of one that was read from a file.
+    if "detector.pixel_pitch_um" in frame.parameters:
         width_um = float(str(frame.parameters["detector.pixel_pitch_um"]).split()[0])
         cards += [
             ("FOCALLEN", camera.fx * width_um / 1000.0, "[mm] focal length"),
@@ -292,6 +294,7 @@ def _primary(path: Path) -> tuple[dict[str, Any], Any]:
 
     data = read_bytes(path, IMAGE_BYTES, "give a FITS file")
     try:
+        # astropy reports a wrong checksum as a warning, which is recorded here and becomes an error below.
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             with fits.open(io.BytesIO(data), memmap=False, checksum=True) as units:

@@ -220,6 +220,8 @@ class FocalPlane:
 
     def _draw(self, mean_e: FloatArray, light: Light, positions: FloatArray, paths: Paths) -> None:
         """Stars and small bodies through their PSFs, large bodies as disks."""
+        # A point is rendered at all moments of its path in one call; a disk is rendered at each moment, which only the
+        # few large bodies can afford.
         camera, (xy, weights, electrons) = self.true_camera, paths
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
         self._draw_points(mean_e, (~disk).nonzero()[0], light.wavelength_nm, positions, paths)
@@ -251,6 +253,7 @@ class FocalPlane:
         """Render satellites along their own paths, and return those whose light reaches the detector."""
         near, camera, photometer = scene.satellites, self.true_camera, self.photometer
         assert near is not None
+        # Satellites have the spectrum of sunlight. Their own motion adds to the extent of their streaks.
         rate_e_s = photometer.body_electrons_per_s(np.full(len(near), "Sun"), near.v_mag)
         extent_rad = near.angular_radius_rad + near.rate_rad_s * exposure.duration_s
         seen = self._reaching(scene, near.direction, rate_e_s, exposure, extent_rad)
@@ -347,6 +350,7 @@ class FocalPlane:
     def _draw_tether(self, image: FloatArray, points: TetherPoints, rate_e_s: FloatArray, nm: float) -> None:
         """Render defocused parts of the tether as disks and the others as points with the PSF."""
         camera = self.true_camera
+        # An out-of-focus part is a disk of the shape of the aperture; sharp parts are rendered as stars.
         xy = camera.project(points.direction)
         blurred = points.blur_rad / camera.pixel_rad > _DISK_PX
         for k in np.flatnonzero(blurred & np.isfinite(xy).all(axis=1)):
@@ -362,6 +366,8 @@ class FocalPlane:
         """Sun, Moon and Earth through the baffle, electrons per second and pixel, and whose exclusion is violated."""
         if self.baffle is None:
             return 0.0, ()
+        # The light of each source is integrated over the aperture by the photometer, and the baffle's transmittance
+        # distributes it uniformly over the detector.
         boresight = scene.pointing.camera.boresight
         names, directions, v_mag = stray_sources(scene.bodies, scene.r_km, self.sky)
         rate_e_s = stray_light_e_s_pixel(

@@ -67,6 +67,7 @@ def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray
 
 def hidden_stars(scene: Scene, directions: FloatArray, sky: Sky) -> NDArray[np.bool_]:
     """Whether stars in directions (N, 3) are behind the Earth, or behind a body that the spacecraft orbits."""
+    # The Earth is tested as a sphere around the nadir, any other near body as a disk of its angular radius.
     hidden = occulted(directions, scene.r_km) if has_disk(sky, scene.r_km) else np.zeros(len(directions), dtype=bool)
     for body in (scene.bodies.angular_radius_rad > NEAR_BODY_RAD).nonzero()[0]:
         hidden |= directions @ scene.bodies.direction[body] > math.cos(scene.bodies.angular_radius_rad[body])
@@ -106,6 +107,7 @@ def body_light(
     """Bodies of the solar system as sources, with the phase and the Earth's limb on their disks."""
     attitude = scene.pointing.camera
 
+    # The Sun's direction and that of the Earth's limb are angles on the image, which depend on the attitude.
     def angles(towards: FloatArray) -> FloatArray:
         return np.array([sun_angle_rad(camera, attitude, body, towards) for body in bodies.direction])
 

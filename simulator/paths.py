@@ -67,6 +67,7 @@ def make_folder(path: Path) -> Path:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
+        # Permission bits do not show whether a file can be created, so one is created.
         with tempfile.TemporaryFile(dir=path):
             pass
     except OSError as error:

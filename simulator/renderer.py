@@ -117,6 +117,8 @@ class Renderer:
         self.transients = build_transients(scenario)
         self.parameters = flat_parameters(scenario)
         device = self.detector.parameters
+        # As a laboratory would state it: in the electrons of the photon-transfer curve, which with an intensifier are
+        # not the detector's own.
         self._read_noise_e = electronics_noise_e(device) / bunch_e(device)
 
     def __repr__(self) -> str:
@@ -282,6 +284,7 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
         elif value is not None:
             flat[prefix] = value
 
+    # Null values are omitted, because FITS headers have no null, and lists become text.
     resolved = scenario.resolved()
     if scenario.pointing.track.target is None:
         del resolved["pointing"]["track"]  # some forty keys of an orbit that is not used

@@ -180,10 +180,11 @@ class SceneBuilder:
         self._round_s = round_s(parameters.pointing, orbit.period_s)
         seen = parameters.sky
         self.sky, self._b_v, self._giant = _sky_of(load_catalog(seen.catalog), seen.magnitude_limit)
+        # A named target is looked up once; a target given by coordinates needs no catalogue.
         target = parameters.pointing.target
         self._target = find_target(target, self.sky.catalog) if isinstance(target, str) else None
-        self._blocks: dict[int, Instants] = {}
-        self._plan: tuple[Instants | None, dict[float, int]] = (None, {})
+        self._blocks: dict[int, Instants] = {}  # the newest block of trials
+        self._plan: tuple[Instants | None, dict[float, int]] = (None, {})  # a block of planned times, and their rows
 
     def instant(self, index: int) -> Instant:
         """Time of trial `index`, and positions of spacecraft and bodies."""
