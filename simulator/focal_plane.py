@@ -49,7 +49,8 @@ from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 
 _EDGE_MARGIN_PX = 160.0
-"""Stars up to this far outside the detector are rendered if their wings overlap it; those of 10⁶ electrons do."""
+"""Maximum distance outside the detector at which stars are rendered if their wings overlap it; the wings of 10⁶
+electrons reach as far."""
 
 _DISK_PX = 1.5
 """Bodies with a larger radius are rendered as disks, smaller ones as points with the PSF."""

@@ -60,7 +60,7 @@ class Frame:
         return described("Frame", origin, size, f"{self.utc} UTC", f"exposure {self.exposure_s:g} s")
 
     def _repr_html_(self) -> str:
-        """The image with what is known on board, for notebooks."""
+        """The image and a table of the values known on board, for notebooks."""
         height, width = self.image.shape
         camera = self.camera
         rows = {

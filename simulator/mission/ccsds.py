@@ -101,7 +101,7 @@ def _check_version(item: Item, kind: str) -> None:
 
 
 def _item(position: str, key: str, value: str, unit: str = "", axis: str = "") -> Item:
-    """An entry; `InputError` if its unit is not that of its key."""
+    """Create an entry; `InputError` if its unit is not the standard's unit of the key."""
     expected = _UNIT_OF.get(key)
     if unit and expected and re.sub(r"\s", "", unit).lower().replace("[earthradii]", "er") != expected:
         raise InputError(f"{position}: {key} is in {unit}; the standard has {expected}, in which the value is needed")

@@ -109,7 +109,7 @@ class _Line(NamedTuple):
 _WITHOUT_DIGIT = 68
 """Characters of a line of elements before its check digit."""
 _BEGINS = re.compile(r"[12] [0-9A-Z ][0-9 ]{3}[0-9]")
-"""Line of elements by its number and that of its object."""
+"""Beginning of a line of elements: its number, 1 or 2, and the catalogue number of the object."""
 
 
 def _is_element_line(text: str) -> bool:

@@ -114,7 +114,7 @@ def epoch_fields(text: str, position: str) -> tuple[float, ...]:
 
 
 def _to_tt(jd1: FloatArray, jd2: FloatArray, scale: str) -> tuple[FloatArray, FloatArray]:
-    """Two-part Julian dates TT of those of another scale."""
+    """Convert two-part Julian dates of another time scale to TT."""
     # The scales form a chain, TCB → TDB → TT and UTC or GPS → TAI → TT; the steps below are in its order.
     if scale == "TT":
         return jd1, jd2

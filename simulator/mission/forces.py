@@ -101,7 +101,8 @@ def acceleration(
 
         a = μ/r² Σ Jₙ (R/r)ⁿ {[(n + 1) Pₙ + u Pₙ′] r̂ − Pₙ′ ẑ};
 
-    other bodies: μ_b [(s − r)/|s − r|³ − s/|s|³], direct minus that of the centre (section 8.6).
+    other bodies: μ_b [(s − r)/|s − r|³ − s/|s|³], the acceleration of the spacecraft minus that of the centre (section
+    8.6).
 
     Parameters
     ----------

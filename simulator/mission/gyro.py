@@ -31,10 +31,10 @@ class GyroSamples(NamedTuple):
 def gyro_samples(gyro: Gyro, turns_rad: FloatArray, step_s: ArrayLike, rng: np.random.Generator) -> GyroSamples:
     """Measured mean rates over the steps of a sequence, and the true bias at their ends.
 
-    measured = (1 + k) turn / step + mean bias + white noise of N / √step; k constant, drawn once; bias = constant +
-    first-order Gauss–Markov process of standard deviation B and correlation time T, b' = e^(−h/T) b +
-    B √(1 − e^(−2h/T)) w, with its mean over a step that of both ends. Terms and units of N and B are those of IEEE Std
-    952-1997, annexes B and C.
+    The measured rate is (1 + k) turn / step + mean bias + white noise of standard deviation N / √step, with a constant
+    scale-factor error k. The bias is the sum of a constant and a first-order Gauss–Markov process of standard deviation
+    B and correlation time T, b' = e^(−h/T) b + B √(1 − e^(−2h/T)) w; its mean over a step of length h is the mean of
+    both ends. Terms and units of N and B are as in IEEE Std 952-1997, annexes B and C.
 
     Parameters
     ----------

@@ -182,7 +182,7 @@ def motion(
     since_s: Sequence[float],
     law: AttitudeLaw | None = None,
 ) -> list[MotionState]:
-    """True states at times of a sequence: those of a `BodyMotion`.
+    """True states of a `BodyMotion` at the times of a sequence.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sources with a motion of their own during the exposure, such as satellites."""
+"""Sources that move relative to the stars during the exposure, such as satellites."""
 
 from __future__ import annotations
 

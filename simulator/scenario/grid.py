@@ -180,7 +180,7 @@ def _limit(count: int) -> None:
 
 
 def _unknown(path: str, keys: Mapping[str, Key]) -> str:
-    """Message for an unknown key: that of the scenario's loader, or that it is a section."""
+    """Message for a key that cannot be swept: it is a section, or unknown to the scenario's loader."""
     if any(known.startswith(f"{path}.") for known in keys):
         inside = [known for known in keys if known.startswith(f"{path}.")]
         return f"is a section; sweep one of its keys: {', '.join(inside[:12])}{' …' if len(inside) > 12 else ''}"

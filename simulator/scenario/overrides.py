@@ -1,4 +1,4 @@
-"""Values that override those of a file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
+"""Overriding values of a scenario file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
 
 from __future__ import annotations
 

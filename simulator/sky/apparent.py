@@ -58,7 +58,7 @@ def apparent_directions(catalog: StarCatalog, observer: Observer, sun_au: ArrayL
     Parameters
     ----------
     catalog : StarCatalog
-        Any number of stars; `SkyIndex.apparent` is for those of a field of view.
+        Any number of stars; for the stars of a field of view, `SkyIndex.apparent` is faster.
     observer : Observer
         Epoch, barycentric position and velocity; None omits the corresponding effect.
     sun_au : array_like, shape (3,), or None

@@ -54,7 +54,7 @@ class Photometer:
     aperture_area_cm2: float
     """Area of the entrance pupil, cm²."""
     spectrum: str = "colour_sequence"
-    """Name of a family of spectra; also those of the entry-point group ``boresight.spectra``."""
+    """Name of a family of spectra, including those registered in the entry-point group ``boresight.spectra``."""
     _wavelength_nm: FloatArray = field(init=False, repr=False)
     _efficiency: FloatArray = field(init=False, repr=False)
     _rate: _Tables = field(init=False, repr=False)
