@@ -35,10 +35,12 @@ class Shutter:
 
 
 class Motion(NamedTuple):
-    """Rotation of the camera during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
+    """Rotation of the camera during an exposure."""
 
     rate_rad_s: FloatArray
+    """(3,): Inertial angular velocity in camera axes."""
     jitter: JitterMotion | None = None
+    """Rotation relative to the mean attitude, as a function of the time from mid-exposure; None for none."""
 
 
 class Paths(NamedTuple):

@@ -47,9 +47,11 @@ class Frame:
     prior_deg: float = 0.0
     """Half width of the uniform error of the prior about each axis."""
     scenario: str = ""
+    """Name of the scenario; with `seed` and `index` sufficient to reproduce the frame."""
     seed: int = 0
+    """Seed of the scenario."""
     index: int = 0
-    """Origin of the frame, sufficient to reproduce it."""
+    """Index of the trial."""
     parameters: dict[str, float | int | str | bool] = field(default_factory=dict)
     """Every key of the scenario's camera, for the file header."""
 

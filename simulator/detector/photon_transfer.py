@@ -39,14 +39,15 @@ class PhotonTransfer:
     """A photon-transfer curve and the parameters of its linear part."""
 
     signal_dn: FloatArray
+    """(L,): Mean above the bias at each level."""
     variance_dn2: FloatArray
-    """(L,): Mean above the bias and variance of the noise at each level, without the fixed pattern."""
+    """(L,): Variance of the noise at each level, without the fixed pattern."""
     used: NDArray[np.bool_]
-    """(L,): Levels of the linear part."""
+    """(L,): Whether a level is in the linear part."""
     gain_e_per_dn: Measured
     """Electrons per DN: 1 / slope."""
     read_noise_e: Measured
-    """Noise of the bias pair, without rounding."""
+    """Noise of the bias pair, without the noise of rounding."""
 
     __repr__ = fields_repr
 

@@ -39,7 +39,9 @@ class Nucleus(NamedTuple):
     """Kind of cosmic ray."""
 
     mass_number: int
+    """Number of nucleons."""
     charge: int
+    """Charge in elementary charges."""
     share: float
     """Number relative to protons at the same energy per nucleon outside the heliosphere."""
 

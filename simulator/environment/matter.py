@@ -61,13 +61,18 @@ class Medium(NamedTuple):
     """Z/A, mol/g."""
     excitation_ev: float
     """Mean excitation energy I."""
-    # Sternheimer's parameters −C, a, m (the exponent), x₀, x₁ and δ(x₀) of a conductor.
     minus_c: float
+    """Sternheimer's −C."""
     a: float
+    """Sternheimer's a."""
     exponent: float
+    """Sternheimer's exponent, m or k."""
     x_low: float
+    """Sternheimer's x₀, below which a conductor has the density effect δ(x₀) 10^(2 (x − x₀))."""
     x_high: float
+    """Sternheimer's x₁, above which the density effect is linear in x."""
     delta_low: float
+    """Sternheimer's δ(x₀)."""
 
 
 ALUMINIUM = Medium(0.48181, 166.0, 4.2395, 0.08024, 3.6345, 0.1708, 3.0127, 0.12)

@@ -133,13 +133,14 @@ class AttitudeSegment:
     """Attitudes over a span."""
 
     first_s: float
+    """Beginning of the usable span, seconds after the epoch."""
     last_s: float
-    """Usable span, seconds after the epoch."""
+    """End of the usable span."""
     frame: str
-    """Axes that the quaternions start from (`simulator.mission.frames.to_frame`, or ``local_level``), in which they are
-    interpolated."""
+    """Axes from which the quaternions transform (`simulator.mission.frames.to_frame`, or ``local_level``), and in which
+    they are interpolated."""
     quaternions: Interpolation
-    """From those axes to the axes of the law."""
+    """Quaternions from those axes to the axes of the law."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +151,7 @@ class TabulatedAttitude:
     clock: Clock
     """Epoch."""
     segments: tuple[AttitudeSegment, ...]
+    """The segments by their first times."""
     name: str
     """The file, for messages."""
     mounting: FloatArray | None

@@ -125,13 +125,15 @@ def _kvn(path: Path, text: str) -> Iterator[Item]:
 
 
 class _Element(NamedTuple):
-    """An element that is open."""
+    """An element of XML that has begun and not ended yet."""
 
     name: str
+    """Tag, without the prefix of a namespace."""
     position: str
+    """File and line."""
     attributes: dict[str, str]
     is_block: bool = False
-    """Whether it has elements within."""
+    """Whether it contains other elements."""
 
 
 class _XmlReader:

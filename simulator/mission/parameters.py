@@ -201,7 +201,7 @@ class Waypoints:
     """Slews from attitude to attitude."""
 
     points: tuple[Waypoint, ...] = ()
-    """Attitudes in order of time: a list of {at_s, ra_deg, dec_deg, roll_deg}; none: no slews."""
+    """Attitudes in order of time: a list of {at_s, ra_deg, dec_deg, roll_deg}; empty: no slews."""
     profile: Literal["eigenaxis", "spline"] = "eigenaxis"
     """``eigenaxis``: rest, and a slew about one axis that ends at `at_s`, with constant acceleration, constant rate and
     constant deceleration; ``spline``: a cubic spline of rotations through all attitudes, from the first to the last."""
@@ -350,12 +350,16 @@ class Slew:
 
 @dataclass(frozen=True)
 class SequenceMotion:
-    """Start after the epoch, step between frames, rate profile and slew of a sequence."""
+    """Times and motion of a sequence."""
 
     start_s: float
+    """Mid-exposure of the first frame, after the epoch."""
     step_s: float
+    """Time between frames."""
     rates: tuple[RatePoint, ...]
+    """Points of the rate profile."""
     slew: Slew
+    """A slew in addition to the rate profile."""
 
 
 @dataclass(frozen=True)

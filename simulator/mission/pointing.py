@@ -49,8 +49,9 @@ class Pointing:
     """Attitude at mid-exposure."""
 
     body: Attitude
+    """True attitude ICRS → body."""
     camera: Attitude
-    """True attitudes, ICRS → body and ICRS → camera."""
+    """True attitude ICRS → camera."""
     prior: Attitude
     """ICRS → camera without the random error, as known from other sensors."""
     mounting: Attitude
@@ -228,11 +229,13 @@ class BoresightPath:
     """Path of the nominal boresight; arrays of the shape of the times, degrees, right ascension in [0, 360)."""
 
     ra_deg: FloatArray
+    """Right ascension, ICRS."""
     dec_deg: FloatArray
-    """ICRS."""
+    """Declination, ICRS."""
     ra_date_deg: FloatArray
+    """Right ascension, true equator and equinox of date, to which the orbit's node and inclination refer."""
     dec_date_deg: FloatArray
-    """True equator and equinox of date, to which the orbit's node and inclination refer."""
+    """Declination, true equator of date."""
 
 
 def boresight_path(orbit: Trajectory, parameters: PointingParameters, t_s: ArrayLike) -> BoresightPath:

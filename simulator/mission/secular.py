@@ -21,8 +21,9 @@ class CircularElements:
     """Brouwer's mean semi-major axis."""
     inclination_rad: float
     raan_rad: float
+    """Right ascension of the ascending node."""
     argument_of_latitude_rad: float
-    """Inclination, right ascension of the ascending node, angle from the node in the direction of motion."""
+    """Angle from the ascending node in the direction of motion."""
 
 
 def mean_motion(semi_major_axis_km: float) -> float:

@@ -38,7 +38,9 @@ class WrittenSegment:
     position: str
     """File and line of its metadata."""
     keys: dict[str, Item] = field(default_factory=dict)
+    """Entries of the metadata by keyword."""
     epochs: list[Item] = field(default_factory=list)
+    """Epochs of the data, as text."""
     rows: list[list[float]] = field(default_factory=list)
     """Numbers of each epoch, in the order of the layout's columns."""
 

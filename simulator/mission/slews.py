@@ -40,13 +40,15 @@ class _Leg:
     """A slew about one axis of the camera."""
 
     start_s: float
+    """Beginning of the slew, seconds after the epoch."""
     first: FloatArray
-    """(4,): Attitude before it."""
+    """(4,): Quaternion ICRS → camera before the slew."""
     axis: FloatArray
     """(3,): Unit vector, camera axes."""
     corners_s: FloatArray
+    """(C,): Corners of the speed profile after the beginning, from `trapezoid`."""
     speeds_rad_s: FloatArray
-    """(C,): `trapezoid`."""
+    """(C,): Speeds at the corners."""
 
     def angle_rad(self, t_s: FloatArray) -> FloatArray:
         """Rotation angle (T,) at times (T,): 0 before the slew, and the whole angle after it."""
@@ -66,10 +68,11 @@ class SlewLaw:
     """Rest at the first attitude, and slews that end at the times of the others."""
 
     legs: tuple[_Leg, ...]
+    """The slews in order of time."""
     first: FloatArray
     """(4,): First attitude of the camera."""
     mounting: FloatArray
-    """(4,): Body → camera."""
+    """(4,): Quaternion body → camera."""
 
     @property
     def span_s(self) -> tuple[float, float]:

@@ -51,8 +51,9 @@ class ChebyshevTable:
     """Chebyshev polynomials over intervals of equal length."""
 
     first_s: float
+    """Start of the first interval."""
     length_s: float
-    """Start of the first interval, and length of all, s."""
+    """Length of every interval."""
     coefficients: FloatArray
     """(degree + 1, N, 3) for positions (type 2), or (degree + 1, N, 6) for states (type 3), of N intervals."""
 

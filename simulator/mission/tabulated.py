@@ -38,8 +38,9 @@ class Segment:
     """A table with its centre and axes."""
 
     first_s: float
+    """Beginning of the usable span, seconds after the epoch."""
     last_s: float
-    """Usable span, seconds after the epoch."""
+    """End of the usable span."""
     centre: str
     """One of `simulator.mission.trajectory.CENTRES`."""
     frame: str
@@ -60,6 +61,7 @@ class TabulatedTrajectory:
     centre: str
     """Centre of the first segment, to which all states are referred."""
     segments: tuple[Segment, ...]
+    """The segments by their first times."""
     name: str
     """The file, for messages."""
     object_id: str = ""

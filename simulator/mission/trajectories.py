@@ -36,9 +36,11 @@ class _Given(NamedTuple):
     folder: Path
 
     def file(self, key: str) -> Path:
+        """File that a key of the section names."""
         return self.folder / str(getattr(self.section, key))
 
     def frame(self, otherwise: str) -> str:
+        """Axes that the section states; `otherwise` for ``auto``."""
         return otherwise if self.section.frame == "auto" else self.section.frame
 
 

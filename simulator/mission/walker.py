@@ -12,14 +12,18 @@ _FIRST_NUMBER, _MOST = 90_001, 9_999
 
 
 class Walker(NamedTuple):
-    """Walker delta pattern i: t/p/f (Walker 1984, J. Brit. Interplanet. Soc. 37, 559): `satellites` on circular orbits
-    in equally spaced planes; satellites of neighbouring planes differ by `phasing` × 360°/t along the orbit."""
+    """Walker delta pattern i: t/p/f (Walker 1984, J. Brit. Interplanet. Soc. 37, 559): satellites on circular orbits in
+    planes whose nodes are equally spaced."""
 
     altitude_km: float
+    """Height above the equatorial radius."""
     inclination_deg: float
     satellites: int
+    """Total number t of satellites."""
     planes: int
+    """Number p of planes."""
     phasing: int = 0
+    """Factor f: satellites of neighbouring planes differ by f × 360°/t along the orbit."""
     name: str = "WALKER"
     """Prefix of the names; plane and slot follow."""
 

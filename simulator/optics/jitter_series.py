@@ -67,6 +67,7 @@ class SampledJitter:
     """A time series relative to a mid-exposure, with the methods of `JitterPath`."""
 
     series: JitterSeries
+    """The series."""
     origin_s: float
     """Time of mid-exposure on the scale of the series."""
     matrix: FloatArray

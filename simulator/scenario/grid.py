@@ -45,8 +45,9 @@ class SweptKey:
     values: tuple[Any, ...]
     """The values in order; for a range, the values of the grid."""
     low: float | None = None
+    """Start of a range; None for a list."""
     high: float | None = None
-    """Ends of a range; None for a list."""
+    """End of a range; None for a list."""
     log: bool = False
     """Whether the range is logarithmic."""
     whole: bool = False

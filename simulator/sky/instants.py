@@ -47,15 +47,18 @@ class Instants:
     epoch_jyear: FloatArray
     """(T,): Julian epochs, TT."""
     r_km: FloatArray
+    """(T, 3): Geocentric position, GCRS."""
     v_km_s: FloatArray
-    """(T, 3): Geocentric state, GCRS."""
+    """(T, 3): Geocentric velocity, GCRS."""
     r_centre_km: FloatArray
+    """(T, 3): Position relative to the centre of the trajectory, to which the local level refers; identical to `r_km`
+    for an orbit around the Earth."""
     v_centre_km_s: FloatArray
-    """(T, 3): State relative to the centre of the trajectory, to which the local level refers; identical to the
-    geocentric state for an orbit around the Earth."""
+    """(T, 3): Velocity relative to that centre."""
     position_au: FloatArray
+    """(T, 3): Barycentric position, ICRS."""
     velocity_km_s: FloatArray
-    """(T, 3): Barycentric state, ICRS."""
+    """(T, 3): Barycentric velocity, ICRS."""
     sun_au: FloatArray
     """(T, 3): Barycentric position of the Sun."""
     bodies: Bodies
@@ -63,8 +66,9 @@ class Instants:
     orbit_argument_deg: FloatArray
     """(T,): Argument of latitude: from the true equator of date around the Earth, otherwise from the ecliptic."""
     latitude_deg: FloatArray
+    """(T,): Geodetic latitude of the point below the spacecraft."""
     longitude_deg: FloatArray
-    """(T,): Ground track: geodetic latitude, east longitude in [−180, 180]."""
+    """(T,): East longitude of that point, in [−180, 180]."""
     sunlit: NDArray[np.bool_]
     """(T,): Whether the spacecraft is outside the shadow of the Earth and of the trajectory's centre."""
 

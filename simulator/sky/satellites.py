@@ -60,7 +60,7 @@ class Satellites:
     """(N, 5, 3): Apparent vector from the spacecraft, ICRS axes, as a polynomial of the seconds from mid-exposure,
     lowest power first."""
     rate_rad_s: FloatArray
-    """(N,): Angular rate against the stars."""
+    """(N,): Angular rate relative to the stars."""
     v_mag: FloatArray
     """(N,): Apparent V, including the dimming in the penumbra."""
     angular_radius_rad: FloatArray
@@ -85,7 +85,7 @@ class Satellites:
 
 
 class Look(NamedTuple):
-    """One exposure, seen from the satellites: time, state of the spacecraft and field of its camera."""
+    """One exposure: its time, the motion of the spacecraft, and the field of the camera."""
 
     t_s: float
     """Mid-exposure, seconds after the epoch."""
@@ -109,6 +109,7 @@ class SatelliteList(NamedTuple):
     """Satellites of a scenario."""
 
     orbits: ElementList
+    """Orbits of the N satellites."""
     standard_magnitude: FloatArray
     """(N,): V at 1000 km and a phase angle of 90°."""
     radius_km: FloatArray
