@@ -1,11 +1,12 @@
 """A physically based simulator of a star camera in orbit, and a Monte Carlo harness that measures its accuracy.
 
-Example:
+Example::
 
-from simulator import Scenario, render, run
-scenario = Scenario.load("scenarios/cubesat.yaml")
-frame, truth = render(scenario, index=0)
-study = run(scenario, trials=1000, seed=1)
+    from simulator import Scenario, render, run
+
+    scenario = Scenario.load("scenarios/cubesat.yaml")
+    frame, truth = render(scenario, index=0)
+    study = run(scenario, trials=1000, seed=1)
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> Foc
     )
     if scenario.environment.has_damage:
         response = Curve(response.wavelength_nm, build_damage(scenario).transmission * response.value)
-    # The central obstruction is a fraction of the diameter, so it blocks its square of the area.
+    # The central obstruction is a fraction of the diameter, so it blocks the square of this fraction of the area.
     area_cm2 = math.pi / 4 * (optics.aperture_mm / 10.0) ** 2 * (1.0 - optics.obscuration**2)
     photometer = Photometer(response, area_cm2, scenario.sky.spectrum)
     lens = Lens(

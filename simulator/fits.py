@@ -122,8 +122,8 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
         ("JEPOCH", observer.epoch_jyear, "Julian epoch of mid-exposure, TT"),
     ]
     cards += [(f"CAM_{k.upper()}", getattr(camera.distortion, k), "Brown-Conrady, OpenCV") for k in _DISTORTION_KEYS]
-    # The camera has focal lengths in pixels. The pitch, from which they follow in millimetres, is only known of a frame
-    # that has been rendered, not of one that was read from a file.
+    # The camera has focal lengths in pixels. The pitch, with which they follow in millimetres, is known for a rendered
+    # frame, but not for one that was read from a file.
     if "detector.pixel_pitch_um" in frame.parameters:
         width_um = float(str(frame.parameters["detector.pixel_pitch_um"]).split()[0])
         cards += [

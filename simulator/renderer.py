@@ -284,7 +284,7 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
         elif value is not None:
             flat[prefix] = value
 
-    # Null values are omitted, because FITS headers have no null, and lists become text.
+    # Null values are omitted, because header cards need a value, and lists become text.
     resolved = scenario.resolved()
     if scenario.pointing.track.target is None:
         del resolved["pointing"]["track"]  # some forty keys of an orbit that is not used

@@ -206,7 +206,7 @@ def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
         For both node keys at once, an altitude outside the range of the model or without a sun-synchronous inclination,
         or an unknown propagator.
     """
-    # These limits are those of the model. The limits of sense, such as the surface, are rules of the scenario, which
+    # These are the limits of the model. Limits of plausibility, such as the surface, are rules of the scenario, which
     # `allow_unphysical` can lift.
     radius = EARTH_RADIUS_KM + section.altitude_km
     if not SMALLEST_RADIUS_EARTHS * EARTH_RADIUS_KM <= radius <= SPHERE_OF_INFLUENCE_KM:
