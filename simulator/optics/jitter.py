@@ -139,7 +139,7 @@ def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
     wanted = "pointing.jitter.table is a CSV file with two columns of numbers (frequency_hz, psd)"
     lines = read_text(path, CURVE_BYTES, wanted).splitlines()
     try:
-        rows = [line.split(",") for line in lines if line.strip() and not line.lstrip()[0].isalpha() and line[0] != "#"]
+        rows = [line.split(",") for line in map(str.strip, lines) if line and line[0] != "#" and not line[0].isalpha()]
         f, density = np.array([[float(cell) for cell in row] for row in rows]).T
     except ValueError as error:
         raise InputError(f"pointing.jitter.table: {path}: needs two columns of numbers (frequency_hz, psd)") from error
