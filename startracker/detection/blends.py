@@ -1,4 +1,4 @@
-"""Stars whose images touch, parted."""
+"""Separation of stars whose images touch."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> f
 
 
 class _Peaks(NamedTuple):
-    """Highest pixels of their neighbourhoods in objects that have several."""
+    """Local maxima of the objects that have several."""
 
     position: IntArray
     """x, y and object (N, 3)."""
@@ -80,10 +80,10 @@ def part_blends(
 ) -> tuple[Sources, int]:  # fmt: skip
     """Table of objects in which those with several peaks are replaced by one object per peak, and how many were.
 
-    A peak counts when it has more than 0.05 of every brighter one of its object and the signal on the straight line
-    there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
-    than six or more than `most_pixels` pixels stay whole, and so do those that are no larger than the star image of the
-    frame, if this has several peaks itself (`_of_common_image`).
+    A peak counts as a star if it has more than 0.05 of the height of every brighter peak of its object, and if the
+    signal on the straight line to that peak falls below 0.8 of it and by more than 4 times the noise. Each pixel is
+    assigned to the nearest peak. Objects with fewer than six or more than `most_pixels` pixels are not split, nor are
+    objects no larger than the star image of the frame if this has several peaks itself (`_of_common_image`).
     """
     most = int(table["pixels"].sum()) + 1
     room = _Peaks(np.empty((most, 3), np.int64), np.empty(most))
@@ -91,6 +91,7 @@ def part_blends(
     if not count:
         return table, 0
     peaks = _Peaks(room.position[:count], room.height[:count])
+    # Object by object, and by falling height within an object, so that a peak is compared only with brighter ones.
     order = np.lexsort((-peaks.height, peaks.position[:, 2]))
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
     head, following = np.full(len(table), -1), np.full(count, -1)
@@ -109,9 +110,9 @@ def part_blends(
 
 
 def _of_common_image(table: Sources, parted: BoolArray, most_pixels: int) -> BoolArray:
-    """Objects (N,) with several peaks, `parted`, that are the star image of the frame: a ring, far out of focus.
+    """Objects (N,) of several peaks, `parted`, that are star images of the frame: a defocused star is a ring.
 
-    It has several peaks if most of the brightest objects do, and all of them are of one size; blends are not.
+    The star image has several peaks if most of the brightest objects do and these agree in size; blends differ in size.
     """
     fit = (table["pixels"] >= BLEND_PIXELS) & (table["pixels"] <= most_pixels) & ~table["edge"]
     fit &= table["saturated"] == 0
@@ -120,6 +121,7 @@ def _of_common_image(table: Sources, parted: BoolArray, most_pixels: int) -> Boo
     rings = bright[parted[bright]]
     if len(rings) < max(FEWEST_RINGS, RING_MAJORITY * len(bright)):
         return np.zeros(len(table), np.bool_)
+    # Second moment xx + yy about the centre of light, px²: a measure of size that does not depend on the brightness.
     flux = np.maximum(table["flux"], 1e-30)
     x, y = table["sum_x"] / flux, table["sum_y"] / flux
     size = (table["sum_xx"] + table["sum_yy"]) / flux - x * x - y * y
@@ -135,9 +137,9 @@ def _find_peaks(
     runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image, level: Plane, count: IntArray,
     peaks: _Peaks,
 ) -> int:  # fmt: skip
-    """Fill the peaks of objects of some sizes that have several; how many. `count` (N,) gets the peaks of each object.
+    """Fill `peaks` with those of objects within the limits of size that have several; returns their number.
 
-    `peaks` has room for all pixels.
+    `count` (N,) receives the number of peaks of each object. `peaks` has room for all pixels.
     """
     position, height, last, kept = peaks.position, peaks.height, np.uint64(0), 0
     for index in range(len(runs)):
@@ -145,6 +147,8 @@ def _find_peaks(
         if not BLEND_PIXELS <= table[of]["pixels"] <= most_pixels:
             continue
         for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
+            # Every pixel is written and the index advances only at a peak: this costs less than a branch that is
+            # mispredicted.
             # written for every pixel, kept for peaks
             position[last, 0], position[last, 1], position[last, 2] = x, y, of
             is_peak = np.uint64(_is_peak(image, x, y))
@@ -163,9 +167,9 @@ def _find_peaks(
 def _chain_peaks(
     peaks: _Peaks, order: IntArray, image: Image, level: Plane, noise: Plane, head: IntArray, following: IntArray
 ) -> int:
-    """Chain the peaks of each object that a valley separates from those before; how many objects have more than one.
+    """Chain the peaks of each object that valleys separate from brighter ones; return how many have several.
 
-    `order` takes them object by object, by falling height. An object with a single one gets no chain.
+    `order` lists the peaks object by object, by falling height. An object with one accepted peak gets no chain.
     """
     position, height, parted = peaks.position, peaks.height, 0
     for peak in order:
@@ -198,7 +202,7 @@ def _share_pixels(
     runs: IntArray, number: IntArray, chains: tuple[IntArray, IntArray], position: IntArray, image: Image, level: Plane,
     saturation: float, parts: Sources,
 ) -> None:  # fmt: skip
-    """Add the pixels of objects with a chain of peaks, given by its head and what follows, each to the nearest peak."""
+    """Assign each pixel of the objects with a chain of peaks (heads, and next of each) to its nearest peak."""
     (head, following), (height, width) = chains, image.shape
     for index in range(len(runs)):
         y, first = runs[index, 0], head[number[index]]
