@@ -1,4 +1,4 @@
-"""Geometry of an annotated picture: grid lines, compass, arcs and the title text. Nothing is drawn here."""
+"""Geometry of an annotated picture: grid lines, compass, arcs and the title text. It draws nothing."""
 
 from __future__ import annotations
 
@@ -76,6 +76,7 @@ def grid_lines(solution: Solution) -> Iterator[tuple[FloatArray, str]]:
     low, high = (-90.0 if seen[1] else low), (90.0 if seen[0] else high)
     offset = (field[:, 0] - solution.ra_deg + 180.0) % 360.0 - 180.0
     west, east = (-180.0, 180.0) if seen.any() else (float(offset.min()), float(offset.max()))
+    # Meridians converge towards the poles: their spacing on the image is that of the parallels over cos(declination).
     ra_step = _nearest(
         _RA_STEPS, min((east - west) / _LINES, dec_step / max(math.cos(math.radians((low + high) / 2)), 0.02) * 1.4)
     )
@@ -87,6 +88,7 @@ def grid_lines(solution: Solution) -> Iterator[tuple[FloatArray, str]]:
             yield solution.pixel_of(along, k * dec_step), dec_text(k * dec_step, dec_step)
     up = np.linspace(low, high, _POINTS)
     first, last = math.ceil((solution.ra_deg + west) / ra_step), math.floor((solution.ra_deg + east) / ra_step)
+    # With the pole in the field all right ascensions are drawn, and the first and the last line coincide.
     for k in range(first, last + 1 if east - west < 359.0 else first + round(360.0 / ra_step)):
         yield solution.pixel_of(k * ra_step, up), ra_text(k * ra_step % 360.0, ra_step)
 
