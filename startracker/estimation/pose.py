@@ -179,7 +179,8 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int, rounds:
     for n in range(len(columns)):
         scale += (stars.residual[n, 0] ** 2 + stars.residual[n, 1] ** 2) / (2 * len(columns))
     scale = max(scale, UNKNOWN_FLOOR_PX**2)
-    while True:  # a part is compiled once for each call
+    # A loop rather than two calls, because numba compiles a part again for each of its callers.
+    while True:
         for n in range(len(columns) if rounds > 1 else 0):
             for axis in range(4):
                 stars.covariance[n, axis // 2, axis % 2] *= scale

@@ -59,7 +59,7 @@ def _first_from(index: KVector, value: float) -> int:
     if value > index.values[n - 1]:
         return n
     at = int(index.below[min(max(int((value - index.start) / index.step), 0), n)])
-    # Rounding of the step may place the line one value off, in either direction.
+    # The rounded step may put the line one value off, in either direction.
     while at > 0 and index.values[at - 1] >= value:
         at -= 1
     while at < n and index.values[at] < value:
