@@ -1,6 +1,6 @@
-"""Cache of parsed catalogues, and of tables made from them, in the user's cache folder.
+"""Cache of parsed catalogues, and of tables computed from them, in the user's cache folder.
 
-It only saves time: any error is treated as a cache miss.
+The cache only saves time: any error is treated as a cache miss.
 """
 
 from __future__ import annotations

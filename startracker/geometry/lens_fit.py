@@ -134,7 +134,8 @@ def fit_jointly(
             break
     if not np.isfinite(chi2):
         return None
-    try:  # unchanged by the last step, which was too small
+    # The matrix is that before the last step, which was too short to change it.
+    try:
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
@@ -151,8 +152,10 @@ def rescaled(fit: JointFit, matches: list[Matches], *, with_refraction: bool) ->
 def rescaled_equations(
     fit: JointFit, matches: list[Matches], fields: Sequence[FloatArray] | None, *, with_refraction: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and right-hand side at the result of a fit, with the errors of `rescaled`; with further unknowns,
-    whose displacements (M, 2, C) of the stars of each image are `fields`, after all others."""
+    """Normal matrix and right-hand side at the result of a fit, with the errors of `rescaled`.
+
+    Further unknowns, whose displacements (M, 2, C) of the stars of each image are `fields`, come after all others.
+    """
     inflation = np.sqrt(fit.chi2 / fit.freedom)
     wider = [replace(m, sigma_px=m.sigma_px * inflation) for m in matches]
     state = _State(fit.camera, fit.matrices, fit.stretches)
@@ -288,6 +291,7 @@ def _normal_equations(
     size = last + (fields[0].shape[2] if fields else 0)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     for i, m in enumerate(matches):
+        # Unknowns in this order: lens, rotation vectors of all images, stretches of all images, further unknowns.
         at = [np.arange(lens), lens + 3 * i + np.arange(3)]
         if with_refraction:
             at.append(lens + 3 * images + 2 * i + np.arange(2))

@@ -1,4 +1,4 @@
-"""Linear algebra of a few unknowns within kernels: Cholesky factors, inverses, 3-vectors, rotations.
+"""Linear algebra for a few unknowns in kernels: Cholesky factors, inverses, 3-vectors, rotations.
 
 NumPy's functions take a second each to compile, and half a microsecond per call.
 """
@@ -80,8 +80,10 @@ def log_determinant(matrix: FloatArray) -> float:
 
 @kernel
 def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
-    """Inverse of the leading block (size, size) of a positive definite matrix, and ln of its determinant; NaN for any
-    other."""
+    """Inverse of the leading block (size, size) of a positive definite matrix, and ln of its determinant.
+
+    NaN for a matrix that is not positive definite.
+    """
     factor, out, log_determinant = np.empty((size, size)), np.zeros((size, size)), 0.0
     for i in range(size):
         for j in range(i + 1):
