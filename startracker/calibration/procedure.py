@@ -48,13 +48,13 @@ _FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05
 _MOST_MAG = 3.0
 _FEWEST = 8
 _MOST_FIELD_PX = 4.0
-"""Largest rms value of a smooth distortion that the lens model does not describe, px; stars farther off are not
-matched."""
+"""Largest rms value, px, of a smooth distortion that the lens model does not describe; stars with larger residuals are
+not matched."""
 _EVIDENT_FIELD = 0.25
-"""Ratio of that distortion to the residuals from which a note states it."""
+"""Ratio of that distortion to the residuals above which a note states it."""
 _ROUNDS = 4
 _VAGUE = 4.0
-"""Maximum ratio of a centroid's stated error to the median of the image; centroids above it are blends or not stars."""
+"""Largest ratio of a centroid's stated error to the median of the image; centroids above it are blends or not stars."""
 
 
 def calibrate(
@@ -67,7 +67,7 @@ def calibrate(
     refraction: bool = False,
     parameters: Sequence[str] | None = None,
 ) -> Calibration:
-    """Calibrate the camera of these images.
+    """Calibrate the camera of the given images.
 
     Parameters
     ----------
@@ -283,6 +283,7 @@ class _Bench:
                 for i, (r, p) in enumerate(zip(self.fit.residuals, self.pairs, strict=True))
             ]
         )
+        # Median of a Rayleigh distribution, for residuals in units of their standard errors.
         scale = max(float(np.median(normal)) / _RAYLEIGH_MEDIAN, 1e-9)
         for i, one in enumerate(self.known):
             sky, predicted = one.sky, self._predicted(i)
@@ -305,8 +306,11 @@ class _Bench:
         return math.log(squares / count) + len(self.fit.covariance) * math.log(count) / count
 
     def _covariance(self, matches: list[Matches]) -> tuple[FloatArray, float]:
-        """Covariance of all unknowns with the effect of a smooth distortion that the lens model does not describe, and
-        the rms value of this distortion on each axis, px."""
+        """Covariance of all unknowns, and rms value, px, of the distortion on each axis that the lens model does not
+        describe.
+
+        The covariance includes the effect of that distortion.
+        """
         fields = [field_columns(self.fit.camera, m.xy) for m in matches]
         normal, right = rescaled_equations(self.fit, matches, fields, with_refraction=self.refraction)
         size = len(self.fit.covariance)
@@ -316,7 +320,7 @@ class _Bench:
         return covariance + field.by_field @ field.moment @ field.by_field.T, field.rms_px
 
     def answer(self, unsolved: dict[str, str]) -> Calibration:
-        """The result in its final form."""
+        """The result as a `Calibration`."""
         fit, matches = self.fit, self.matches()
         covariance, field_px = self._covariance(matches)
         lens = len(fit.names)
@@ -376,7 +380,7 @@ def _notes(result: Calibration) -> tuple[str, ...]:
         )
     stretches = [float(np.hypot(*f.refraction)) for f in result.fields]
     if any(stretches):
-        # κ tan²z / 2
+        # Inverts the stretch κ tan²z / 2 with κ = 58.3″.
         zenith = [math.degrees(math.atan(math.sqrt(2.0 * s / (58.3 / 206_264.8)))) for s in stretches]
         says = ", ".join(f"{90 - z:.0f}°" for z in zenith)
         notes.append(f"differential refraction fitted and removed; it corresponds to altitudes of about {says}")
