@@ -69,7 +69,8 @@ class Difference(NamedTuple):
 
     Parameters
     ----------
-    Pixels; zero if the image is symmetric.
+    mean : (2,)
+        Pixels; zero if the image is symmetric.
     covariance : (2, 2)
         Covariance of the mean, px².
     asymmetric : float

@@ -290,7 +290,7 @@ def search_patterns(
 
     Returns
     -------
-    Number of candidates, number of patterns looked up, work left over. The search is complete if work is left.
+    Number of candidates, number of patterns looked up, work left over (0 or less if it is used up).
     """
     most = min(plan.most, len(vectors))
     edge = np.empty((most, most))

@@ -179,10 +179,10 @@ def find_triads(
 
     Parameters
     ----------
-    Image stars in the form that the tables' arithmetic uses.
-        Image stars as the tables' arithmetic keeps them.
-    Number of the image stars, the first ones, that form triangles.
-        How many of them, the first ones, make triangles.
+    image : object
+        Image stars in the form that the tables' arithmetic uses.
+    stars : int
+        Number of the image stars, the first ones, that form triangles.
     separations : (P,)
         Separations of these, in the order of `image_pairs`.
     tables : TriadTables

@@ -64,7 +64,8 @@ class LoadedImage:
         Metadata of the file (FITS keywords; Pillow's format and mode).
     notes : tuple of str
         Notes for the user: channels averaged, EXIF orientation applied or not.
-    Red, green and blue of a colour picture, for display; only if requested.
+    colours : float32 array, shape (H, W, 3), optional
+        Red, green and blue of a colour picture, for display; only if requested.
     row_order : {"TOP-DOWN", "BOTTOM-UP"}
         Order of the rows in the file; those of `image` are always from the top down.
     """
