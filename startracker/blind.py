@@ -92,7 +92,7 @@ def solve_unknown_fov(
     """
     fov_deg = None if fov_deg is None else real_number("fov_deg", fov_deg, unit="deg", finite=False)
     camera = None if camera is None else as_camera("camera", camera)
-    _refuse(fov_deg, fov_error, parity, camera)
+    _check_arguments(fov_deg, fov_error, parity, camera)
     clock = Clock()
     given = given_image(source, observer, None, saturation_dn, gain_e_per_dn)
     if width is None and height is None:
@@ -176,7 +176,7 @@ def _points_of_image(
     return _Points(columns, rows, xy, flux, variance, Steps(*trace), found.saturated, settings)
 
 
-def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:
+def _check_arguments(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:
     """Raise an InputError for an invalid field of view or parity."""
     if fov_deg is not None and not 0.5 <= fov_deg <= 120.0:
         raise InputError(f"a field of view must be between 0.5° and 120° here; got {fov_deg}°")

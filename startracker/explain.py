@@ -43,7 +43,7 @@ def image_sample(image: NDArray[Any]) -> NDArray[Any]:
     """Copy of the values on a lattice, for `image_step`, because the caller may change the image before the text is
     read."""
     rows, columns = _steps(image.shape)
-    # From half a step on, so that the samples avoid the border, which often differs from the rest of an image.
+    # The samples are the centres of the lattice's cells, away from the border.
     return image[rows // 2 :: rows, columns // 2 :: columns].flatten()
 
 

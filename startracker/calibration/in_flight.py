@@ -125,7 +125,7 @@ class InFlightCalibration:
         self.lens.predict(elapsed_s)
         self.psf.predict(elapsed_s)
         if given is not None:
-            self._learn_image(np.asarray(given.image), attitude, stars, given)
+            self._update_image(np.asarray(given.image), attitude, stars, given)
         # The errors of stars on the same pixels do not average out, so frames without motion are not used for the lens.
         if self._used_at is not None and self._shift_px(self._used_at, attitude) < self.settings.shift_px:
             found = self.lens.unused(attitude.as_matrix(), stars, "the stars have not moved")
@@ -138,7 +138,7 @@ class InFlightCalibration:
             self._used_at = attitude
         return found
 
-    def _learn_image(self, image: NDArray[Any], attitude: Attitude, stars: IdentifiedStars, given: GivenImage) -> None:
+    def _update_image(self, image: NDArray[Any], attitude: Attitude, stars: IdentifiedStars, given: GivenImage) -> None:
         if image.shape != self.defects.mask.shape:
             return
         self.psf.update(star_widths(image, stars.xy, stars.flux, given.saturation_dn, given.gain_e_per_dn))

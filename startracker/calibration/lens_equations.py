@@ -76,9 +76,9 @@ def lens_equations(
         matrix = rotation_vector_to_matrix(turn[:3]) @ matrix
     slopes = np.stack([moves[name] for name in names], axis=2)
     if field is not None:
-        # Schur complement: the part of the derivatives that a rotation of the camera (and its rate) cannot explain.
         slopes = np.concatenate([slopes, field], axis=2)
     by_lens = (slopes * weight[:, :, None]).reshape(-1, slopes.shape[2])
+    # Schur complement: the part of the derivatives that a rotation of the camera (and its rate) cannot explain.
     share = np.linalg.solve(normal, columns.T @ by_lens)
     beside = by_lens - columns @ share
     left = observed - columns @ turn

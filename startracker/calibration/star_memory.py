@@ -78,8 +78,6 @@ class StarMemory:
     ) -> None:
         """Add residuals (M, 3), ICRS axes, with standard errors (M,) on one axis, of the centroids and of the lens."""
         length = np.linalg.norm(residual_rad, axis=1)
-        # A long residual is shortened, not dropped, so that the mean of a wrong star still exceeds the limit in the
-        # end.
         most = _LONGEST * np.hypot(sigma_rad, lens_rad)
         residual = residual_rad * np.minimum(1.0, most / np.maximum(length, 1e-300))[:, None]
         weight, fading = sigma_rad**-2.0, _FADING

@@ -123,9 +123,9 @@ def build_effective_psf(
             starts = Starts(x, y, np.full(len(rows), half), np.full(len(rows), np.inf))
             plain = frame.pixels._replace(flat_error=0.0)
             fits[rows] = fit_stars(plain, psf.samples, starts, np.arange(len(rows)), True)
-        # √(2/ν) is the standard deviation of χ²/ν by noise alone; it keeps the limit open where the stars agree well.
         misfit = fits[:, 6] / fits[:, 7]
         usual = np.nanmedian(misfit)
+        # √(2/ν) is the standard deviation of χ²/ν by noise alone; it keeps the limit open where the stars agree well.
         spread = 1.4826 * np.nanmedian(np.abs(misfit - usual)) + np.sqrt(2.0 / np.nanmedian(fits[:, 7]))
         good = np.flatnonzero(misfit < usual + _CLIP_SIGMA * spread)
         before = coefficients

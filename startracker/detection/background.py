@@ -238,8 +238,7 @@ def follow_structure(image: Image, tile_px: int = 64) -> Background:
     level = _medians(bins)
     level += _medians(bins - level)
     plane = interpolate_tiles(level, height, width, True)
-    made = Background(plane, plane)
-    residual = np.asarray(image, np.float32) - made.level
+    residual = np.asarray(image, np.float32) - fill_plane(plane)
     rows, columns = max(1, round(height / tile_px)), max(1, round(width / tile_px))
     _, noise = tile_statistics(residual, rows, columns, 0.0)
     known = np.isfinite(noise)
@@ -307,7 +306,7 @@ class Light(NamedTuple):
         x, y = np.clip(pixel[..., 0], 0, width - 1), np.clip(pixel[..., 1], 0, height - 1)
         level, noise = self.background.level[y, x], self.background.noise[y, x]
         # Comparisons with NaN are false, so that a pixel without a value does not count as bright.
-        above = self.image[y, x] - level > self.threshold_sigma * noise  # NaN is not
+        above = self.image[y, x] - level > self.threshold_sigma * noise
         return np.asarray(above.any(axis=1))
 
     def seen(self, xy: FloatArray) -> BoolArray:

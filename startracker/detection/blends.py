@@ -149,7 +149,6 @@ def _find_peaks(
         for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
             # Every pixel is written and the index advances only at a peak: this costs less than a branch that is
             # mispredicted.
-            # written for every pixel, kept for peaks
             position[last, 0], position[last, 1], position[last, 2] = x, y, of
             is_peak = np.uint64(_is_peak(image, x, y))
             last += is_peak

@@ -209,8 +209,7 @@ def select_spots(
     searched = Searched(image, background.level_plane, background.noise_plane, UNFILTERED if half is None else half)
     quiet = 0.0
     if settings.isolation > 0.0:
-        # Among branches the tiles' noise is the structure of the branches; a low quantile is still the noise of the
-        # where there are branches, the noise of the tiles is theirs
+        # Among branches the noise of the tiles is their structure; a low quantile of it is still that of the sky.
         noise = sample_plane(background.noise_plane, _QUIET_STEP_PX, _QUIET_STEP_PX)
         quiet = excess * settings.threshold_sigma * quantiles(noise, (QUIET_QUANTILE,))[0]
     criteria = Criteria(
@@ -331,7 +330,6 @@ class _Examined:
         self.sharpness = sharpest_star(self.pixels, judged, searched, ahead)
         # If one pixel is saturated, the clipping makes an object look wider, never sharper. Several saturated pixels
         # may be a charge trail, which is narrow and would pass for a track.
-        # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
         may_be_sharp = ~table["edge"] & (~saturated | (table["saturated"] == 1))
         self.marks = _Marks(may_be_sharp & (self.sharpness.limit_px2 > 0.0), long, saturated)
 

@@ -270,7 +270,6 @@ def is_halo(table: Sources) -> Flags:
         near = HALO_RADII * math.sqrt(table[star]["pixels"] / np.pi) + HALO_MARGIN_PX
         dark_radius = 1.9 * math.sqrt(table[star]["flux"] / (np.pi * peak))
         # The largest distance at which anything of this star can be as bright as the faintest object.
-        # no farther than the ring about as faint as the faintest
         reach = max(near, dark_radius * (RING_MARGIN * 0.045 * peak / max(faintest, 1e-30)) ** (1.0 / 3.0)) + 1.0
         for n in range(np.uint64(len(peaks))):
             dx, dy = x[n] - x[star], y[n] - y[star]

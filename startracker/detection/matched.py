@@ -171,7 +171,6 @@ def search_filtered(
         middle, one, more = quantiles(sample, _SIGMA_QUANTILES)
         # Noise cannot be more correlated than if it is the same in every pixel, when the filter raises it by Σ k. Any
         # more than that comes from stars, which fill much of a small image.
-        # stars that fill a small image are no noise: none is more correlated than one that is the same in every pixel
         largest = float(half[0] + 2.0 * half[1:].sum()) ** 2
         excess = min(max(1.0, one - middle, (more - middle) / 1.5), largest)
     runs, signal = runs_above(groups, found, image, noise, excess * threshold)

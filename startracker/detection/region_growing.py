@@ -82,7 +82,6 @@ def grow_objects(
     height, width = image.shape
     table, found, visited = np.zeros(64, SOURCE), 0, 0
     # Pixels that belong to no object count as erased from the start.
-    # erased at once: what belongs to no object
     erased = ~((image > limit) & (image < np.inf))
     stack = np.empty(256, np.int64)
     for y0 in range(step - 1, height - step + 1, step):

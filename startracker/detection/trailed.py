@@ -160,7 +160,6 @@ def decide(trails: Spots, points: Spots, image: Image, background: Background, m
         return replace(trails, other=points.take(np.arange(min(most, len(points)))))
     # A satellite is longer than the stars, which aberrations may elongate too, so a trail is compared with their
     # median.
-    # a satellite is longer than the stars of the frame, which aberrations may have elongated themselves
     trailed = on_trail & (major > WIDTH_RATIO * median(major[star]))
     return replace(points.take(np.flatnonzero(~trailed)[:most]), other=trails)
 

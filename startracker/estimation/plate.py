@@ -215,11 +215,11 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
         matrix = (sky - centre).T @ along
         if not full:
             same, other = matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]
-            # Symmetric and antisymmetric part of a similarity transformation: scale and rotation only.
+            # The part of the matrix that is a similarity: one scale and one rotation.
             matrix = np.array([[same, -other], [other, same]])
         offset = centre - matrix @ middle
         size = float(np.hypot(*offset))
-        # The iteration converges quadratically until rounding stops it, which a step that no longer halves shows.
+        # A step that is not half as long as the one before shows that only rounding is left.
         if size < _SETTLED_RAD or (size < 1e-9 and size >= 0.5 * last):
             break
         last = size

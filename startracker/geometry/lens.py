@@ -104,8 +104,8 @@ def sensitivity(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[s
     pixels (M, 2); derivative (M, 2) with respect to each of `PARAMETERS`; derivative (M, 2, 3) with respect to the
     vector.
     """
-    # A mirrored image has a negative focal length along the columns.
     image, by_lens, by_vector = (_pinhole if camera.projection == "pinhole" else _fisheye)(camera, vectors)
+    # A mirrored image has a negative focal length along the columns.
     focal = np.array([camera.parity * camera.fx, camera.fy])
     moves = {name: focal * columns for name, columns in by_lens.items()}
     offset = focal * image

@@ -30,7 +30,7 @@ MOST_FOCAL_ERROR = 3.0 * FOCAL_SIGMA
 """Largest |ln f| that is tried: three of the standard deviations that the verification assumes."""
 _BRIGHTEST = 16
 """Number of observed stars that are paired with guide stars."""
-_CALLS = 24
+_MOST_PAIRINGS = 24
 """Number of guide stars with which each of them is paired."""
 _AWAY = 0.25
 """Separation from the knot, as a share of the field's half diagonal, above which a star determines roll and focal
@@ -40,7 +40,7 @@ _FIRST_GATE = 2.0 * GATE_SIGMAS
 """Gate of the verification, in multiples of its scale and of the standard errors."""
 
 
-class _Calls(NamedTuple):
+class _Pairings(NamedTuple):
     """Attitudes (K, 3, 3), ln f (K,) and observed stars (K,) of the pairings of one star with one guide star."""
 
     matrix: FloatArray
@@ -69,10 +69,10 @@ def about_knot(
     pool = HypothesisPool(settings, stars=len(observed), operations=found.operations)
     scale, verified = tried_scales(observed, guide)[-1], 0
     if len(observed) >= FEWEST_FOR_FOCAL:
-        calls = _calls(found.pairs, observed, guide)
+        pairings = _pairings(found.pairs, observed, guide)
         tolerance = _FIRST_GATE * scale * float(np.median(observed.sigma_rad)) / guide.half_diagonal_rad
-        for k in _most_agreed(calls, tolerance):
-            pool.check(calls.matrix[k], observed, guide, scale, math.exp(calls.log_focal[k]))
+        for k in _most_supported(pairings, tolerance):
+            pool.check(pairings.matrix[k], observed, guide, scale, math.exp(pairings.log_focal[k]))
             verified += 1
     pool.note(f"{verified} attitudes about the matched stars, with other rolls and focal lengths, were verified")
     again = pool.judge(observed)
@@ -85,7 +85,7 @@ def about_knot(
     return replace(again, status=status, reason=reason, pairs=pairs, log_false_alarm=chance)
 
 
-def _calls(pairs: IntArray, observed: Observed, guide: GuideDatabase) -> _Calls:
+def _pairings(pairs: IntArray, observed: Observed, guide: GuideDatabase) -> _Pairings:
     """Attitudes from the centre of the matched stars and each bright star away from it."""
     knot = pairs[_inner_half(observed.vectors[pairs[:, 0]])]
     slopes = focal_slopes(np.ascontiguousarray(observed.vectors, dtype=np.float64))
@@ -103,7 +103,7 @@ def _calls(pairs: IntArray, observed: Observed, guide: GuideDatabase) -> _Calls:
     star, called = [], []
     for n in away.tolist():
         low, high = angle[:, n].min(), angle[:, n].max()
-        ring = np.flatnonzero((separation >= low) & (separation <= high))[:_CALLS]
+        ring = np.flatnonzero((separation >= low) & (separation <= high))[:_MOST_PAIRINGS]
         star.append(np.full(len(ring), n))
         called.append(ring)
     stars, rows = (np.concatenate([np.empty(0, np.int64), *parts]) for parts in (star, called))
@@ -112,7 +112,7 @@ def _calls(pairs: IntArray, observed: Observed, guide: GuideDatabase) -> _Calls:
     # An attitude maps the frame of two guide directions onto the frame of the two observed ones.
     one = _axes(at + log_focal[:, None] * slope, observed.vectors[stars] + log_focal[:, None] * slopes[stars])
     other = _axes(np.broadcast_to(centre, (len(rows), 3)), guide.directions[near[rows]])
-    return _Calls(np.swapaxes(one, 1, 2) @ other, log_focal, stars)
+    return _Pairings(np.swapaxes(one, 1, 2) @ other, log_focal, stars)
 
 
 def _inner_half(vectors: FloatArray) -> IntArray:
@@ -124,20 +124,20 @@ def _inner_half(vectors: FloatArray) -> IntArray:
     return np.argsort(away, kind="stable")[: max(2, (len(vectors) + 1) // 2)]
 
 
-def _most_agreed(calls: _Calls, tolerance: float) -> list[int]:
+def _most_supported(pairings: _Pairings, tolerance: float) -> list[int]:
     """Indices of the pairings with which most pairings of other stars agree, at most `_MOST_VERIFIED`.
 
     They agree if both the rotation angle, rad, and the difference in ln f are below `tolerance`. Of pairings that agree
     with each other, one is returned.
     """
-    rows = calls.matrix.reshape(-1, 9)
+    rows = pairings.matrix.reshape(-1, 9)
     # The trace of the relative rotation of two attitudes is 1 + 2 cos(angle), and the sum of the products of their
     # elements.
     cosine = 0.5 * (rows @ rows.T - 1.0)
     agrees: BoolArray = (cosine > math.cos(tolerance)) & (
-        np.abs(calls.log_focal[:, None] - calls.log_focal[None]) < tolerance
+        np.abs(pairings.log_focal[:, None] - pairings.log_focal[None]) < tolerance
     )
-    votes = np.count_nonzero(agrees & (calls.star[:, None] != calls.star[None]), axis=1)
+    votes = np.count_nonzero(agrees & (pairings.star[:, None] != pairings.star[None]), axis=1)
     chosen: list[int] = []
     for k in np.argsort(-votes, kind="stable").tolist():
         if votes[k] == 0 or len(chosen) == _MOST_VERIFIED:

@@ -215,8 +215,8 @@ class _Search:
         diagonal = 2.0 * self._guide.half_diagonal_rad
         triples = first_triangles(self._stars.vectors, diagonal, assumption.triangles)
         while effort.tried < len(triples) and not effort.ended:
-            # The number doubles each time, because the first triangle is usually sufficient.
             self._verifier.map_sky(effort, _MANY_FOUND, _LEVER)
+            # The number doubles each time, because the first triangle is usually sufficient.
             some = triples[effort.tried : 2 * effort.tried + 1]
             candidates, work = similar_triangles(some, self._stars, self._guides, self._pairs, limits, self._head)
             effort.tried += len(some)

@@ -205,10 +205,11 @@ def _totals(depths: int) -> IntArray:
     return out
 
 
-# Fixed point with `LOG_BITS` bits of fraction.
 def _down(value: ArrayLike) -> IntArray:
+    """Fixed-point numbers with `LOG_BITS` bits of fraction, rounded down."""
     return np.asarray(np.floor(np.asarray(value) * (1 << LOG_BITS)), dtype=np.int64)
 
 
 def _up(value: ArrayLike) -> IntArray:
+    """Fixed-point numbers with `LOG_BITS` bits of fraction, rounded up."""
     return np.asarray(np.ceil(np.asarray(value) * (1 << LOG_BITS)), dtype=np.int64)

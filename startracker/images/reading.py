@@ -135,8 +135,8 @@ def read_image(
     if bayer is not None:
         if any("averaged" in note for note in loaded.notes):
             raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; omit bayer")
-        grey = bayer_to_grey(loaded.image, bayer)
         # The pattern refers to the rows as stored, so the mosaic is converted before its rows are reversed.
+        grey = bayer_to_grey(loaded.image, bayer)
         notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
         # the gains differ by colour: take the lowest level at which any pixel saturates
         full = None

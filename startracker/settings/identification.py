@@ -80,7 +80,7 @@ class IdentificationSettings:
             names, kinds = sorted(keys.keys() & _OWN), sorted({kind.__name__ for kind in SETTINGS.values()})
             text = f"IdentificationSettings: {', '.join(names)} now belong to the identifier's own settings"
             warnings.warn(f"{text} ({', '.join(kinds)})", FutureWarning, stacklevel=2)
-            return object.__new__(AnyIdentificationSettings)  # type: ignore[return-value]  # a subclass, made by itself
+            return object.__new__(AnyIdentificationSettings)  # type: ignore[return-value]  # a subclass, converted by itself
         return object.__new__(cls)
 
     def __post_init__(self) -> None:
@@ -99,8 +99,8 @@ class IdentificationSettings:
         of_kind("settings", settings, (IdentificationSettings, type(None)))
         if isinstance(settings, cls):
             return settings
-        made: Self = _converted(cls, settings)  # type: ignore[arg-type]  # a class is hashable
-        return made
+        converted: Self = _converted(cls, settings)  # type: ignore[arg-type]  # a class is hashable
+        return converted
 
     __pydantic_config__ = FORBID
 

@@ -162,15 +162,15 @@ def _straightened(signal: Signal, lines: FloatArray, sigma: float, lengths: IntA
     found = []
     for x, y, u, v in lines:
         start = np.array([x, y, 0.0, 0.0, math.atan2(v, u), max(math.hypot(u, v), 2.0), sigma])
-        made, _, chi2, _ = fit_trail(signal.residual, signal.noise, start, TURNED, 3.0, signal.inverse_gain)
-        if not chi2 < math.inf or math.hypot(made[X] - x, made[Y] - y) > start[HALF] + 3.0:
+        fitted, _, chi2, _ = fit_trail(signal.residual, signal.noise, start, TURNED, 3.0, signal.inverse_gain)
+        if not chi2 < math.inf or math.hypot(fitted[X] - x, fitted[Y] - y) > start[HALF] + 3.0:
             continue
-        total = light_along(signal.residual, signal.noise, made, int(lengths[-1]))
+        total = light_along(signal.residual, signal.noise, fitted, int(lengths[-1]))
         score, middle = best_stretches(total, lengths)
         best = int(np.argmax(score))
-        _move(made, middle[best], lengths[best])
-        if score[best] >= COARSE_SIGMA and _is_inside(signal, made):
-            found.append((made, score, middle - middle[best]))
+        _move(fitted, middle[best], lengths[best])
+        if score[best] >= COARSE_SIGMA and _is_inside(signal, fitted):
+            found.append((fitted, score, middle - middle[best]))
         if len(found) == _ENOUGH:
             break
     if len(found) < _FEWEST:
@@ -217,27 +217,27 @@ def _fitted(
     for line, length, middle in zip(straight.table, expected, straight.middles, strict=True):
         start = line.copy()
         _move(start, float(np.interp(length, straight.lengths, middle)), length)
-        made, covariance, chi2, _ = fit_trail(
+        fitted, covariance, chi2, _ = fit_trail(
             signal.residual, signal.noise, start, LINE, 3.0 + 0.05 * start[HALF], signal.inverse_gain
         )
-        if chi2 < math.inf and _is_inside(signal, made):
-            fits.append(made)
-            errors.append(4.0 * chi2 * np.array([covariance[HALF, HALF], made[HALF] ** 2 * covariance[ANGLE, ANGLE]]))
+        if chi2 < math.inf and _is_inside(signal, fitted):
+            fits.append(fitted)
+            errors.append(4.0 * chi2 * np.array([covariance[HALF, HALF], fitted[HALF] ** 2 * covariance[ANGLE, ANGLE]]))
     if len(fits) < _FEWEST:
         return None
-    made, variance = np.array(fits), np.array(errors)
-    trails = lengths_of(made)
-    motion = _without_blur(motion, made, signal.middle)
-    fitting = agrees(trails, motion_at(made[:, [X, Y]] - signal.middle, motion))
+    table, variance = np.array(fits), np.array(errors)
+    trails = lengths_of(table)
+    motion = _without_blur(motion, table, signal.middle)
+    fitting = agrees(trails, motion_at(table[:, [X, Y]] - signal.middle, motion))
     if np.count_nonzero(fitting) < _FEWEST:
         return None
-    made, trails, variance = made[fitting], trails[fitting], variance[fitting] + _TURN_PX**2
-    stretch = np.array([1.0, 0.0]) * (_LENGTH_ERROR_PX + _STRETCH * 2.0 * made[:, HALF, None]) ** 2
-    motion, covariance = _weighted_motion(made[:, [X, Y]] - signal.middle, trails, variance + stretch, motion)
+    table, trails, variance = table[fitting], trails[fitting], variance[fitting] + _TURN_PX**2
+    stretch = np.array([1.0, 0.0]) * (_LENGTH_ERROR_PX + _STRETCH * 2.0 * table[:, HALF, None]) ** 2
+    motion, covariance = _weighted_motion(table[:, [X, Y]] - signal.middle, trails, variance + stretch, motion)
     turn = None
     if camera is not None and math.hypot(*motion[:2]) > PROJECTED_PX:
-        turn = fit_turn(made[:, [X, Y]], trails, variance, motion, camera)
-    sigma = median(made[:_WIDTH_TRAILS, SIGMA].copy()) if measure_sigma else float(straight.table[0, SIGMA])
+        turn = fit_turn(table[:, [X, Y]], trails, variance, motion, camera)
+    sigma = median(table[:_WIDTH_TRAILS, SIGMA].copy()) if measure_sigma else float(straight.table[0, SIGMA])
     return CommonMotion(motion, covariance, signal.middle, sigma, turn)
 
 
