@@ -164,7 +164,7 @@ def _compass_and_scale(figure: Figure, ax: Axes, solution: Solution) -> None:
     over.set_ylim(0.0, down)
     over.set_axis_off()
     middle = np.array([across - _MARGIN_IN - 0.45, top])
-    # the arrows point north and east at the image centre
+    # The arrows point north and east at the centre of the image.
     for text, arrow in compass_arrows(solution).items():
         upwards = arrow * [1.0, -1.0]
         style = {"arrowstyle": "-|>", "color": TEXT, "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}

@@ -90,7 +90,7 @@ def mark_stars(ax: Axes, field: FieldOfStars, labels: Labels, names: int) -> lis
     """Circle the identified stars and mark those that were expected; returns labels of at most `names` stars."""
     stars = field.solution.stars
     faintest = float(stars.v_mag.max(initial=0.0))
-    # diameter in points: 1.3 per magnitude, from 6 for the faintest star to at most 18
+    # Diameter in points: 1.3 per magnitude, from 6 for the faintest star up to 18.
     diameter = np.clip(6.0 + 1.3 * (faintest - stars.v_mag), 6.0, 18.0)
     for chosen, style, label in (
         (stars.used, "-", "identified"),

@@ -46,7 +46,7 @@ def compass_arrows(solution: Solution) -> dict[str, FloatArray]:
     assert camera is not None
     middle = np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]])
     ra, dec = solution.radec_of(middle)[0]
-    # a step of one pixel: a pole in the field then matters only if it is at the centre
+    # With a step of one pixel, a pole in the field matters only if it is at the centre.
     step = math.degrees(camera.pixel_rad)
     near = max(math.cos(math.radians(dec)), 1e-6)
     tips = solution.pixel_of([ra, ra + step / near], [min(dec + step, 90.0), dec])
@@ -70,7 +70,7 @@ def grid_lines(solution: Solution) -> Iterator[tuple[FloatArray, str]]:
     span = math.sqrt(camera.fov_deg * camera.fov_y_deg)
     low, high = float(field[:, 1].min()), float(field[:, 1].max())
     dec_step = _nearest(_DEC_STEPS, span / _LINES)
-    # with a pole in the field every right ascension occurs
+    # With a pole in the field every right ascension occurs.
     poles = solution.pixel_of([0.0, 0.0], [90.0, -90.0])
     seen = np.isfinite(poles).all(axis=1) & camera.contains(poles)
     low, high = (-90.0 if seen[1] else low), (90.0 if seen[0] else high)

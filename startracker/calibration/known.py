@@ -91,6 +91,6 @@ def starting_camera(known: list[KnownField], kind: str) -> Camera:
     """Initial camera: the median of those fitted to each image alone."""
     focal = float(np.median([k.camera.fx for k in known]))
     k1 = float(np.median([k.camera.distortion.k1 for k in known]))
-    # r = tan θ (1 + k1 tan²θ) is θ (1 + (k1 + 1/3) θ²) to the third order
+    # r = tan θ (1 + k1 tan²θ) is θ (1 + (k1 + 1/3) θ²) to third order.
     lens = Distortion(k1=k1 if kind == "pinhole" else k1 + 1.0 / 3.0)
     return replace(known[0].camera, fx=focal, fy=focal, distortion=lens, projection=kind)

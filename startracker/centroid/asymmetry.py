@@ -115,7 +115,7 @@ def _examined(table: FloatArray, unfit: BoolArray) -> IntArray:
     x, y, flux = np.ascontiguousarray(table[:, :3].T)
     # At most nine isolated stars among the 27 brightest.
     stars: IntArray = brightest_alone(x, y, flux, unfit, _EXAMINED)
-    # two windows of a tracked frame may show one star
+    # Two windows of a tracked frame may contain the same star.
     apart = np.abs(table[stars, None, :2] - table[None, stars, :2]).max(axis=2)
     repeated: BoolArray = np.triu(apart < 1.0, 1).any(axis=0)
     return stars[~repeated]

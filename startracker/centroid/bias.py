@@ -38,7 +38,8 @@ def window_moments(
     mean_by_centre, mean_by_sigma, variance_by_centre, variance_by_sigma : float
         Derivatives.
     """
-    # sums of share, and of its derivatives by centre (c) and width (s), times 1, k, k² about the window's middle
+    # Sums of the share (m) and of its derivatives by centre (c) and width (s), times 1, k, k² about the window's
+    # middle.
     middle = 0.5 * (low + high)
     m0, m1, m2, c0, c1, c2, s0, s1, s2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u = (low - 0.5 - centre) / sigma
@@ -46,7 +47,8 @@ def window_moments(
     for pixel in range(low, high + 1):
         u_next = (pixel + 0.5 - centre) / sigma
         tail_next, density_next = 0.5 * math.erfc(abs(u_next) * _SQRT_HALF), math.exp(-0.5 * u_next * u_next) * _DENSITY
-        # the tails beyond both edges, on the side where they are small, keep the digits that a difference of erf loses
+        # Tails beyond both edges, on the side where they are small, keep the digits that a difference of erf would
+        # lose.
         if u > 0.0:
             share = tail - tail_next
         elif u_next < 0.0:
@@ -134,7 +136,7 @@ def guess_centre(moment: float, table: FloatArray) -> float:
         return moment
     span = table[k + 1, 0] - table[k, 0]
     t = (mean - table[k, 0]) / span
-    # Hermite's: the rise beyond the line through both ends
+    # Hermite interpolation: the deviation from the line through both ends.
     first, last = table[k, 1] * span - _STEP_PX, table[k + 1, 1] * span - _STEP_PX
     centre = (k + t) * _STEP_PX + t * (1.0 - t) * ((1.0 - t) * first - t * last)
     return math.copysign(centre, moment) if math.isfinite(centre) else moment
@@ -149,7 +151,7 @@ def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[f
     """
     narrow, wide = SMALLEST_SIGMA_PX, float(high - low + 1)
     sigma = min(max(math.sqrt(max(variance, 0.01)), narrow), wide)
-    # both at once, which most often gets there by itself
+    # Newton's method for both unknowns at once, which usually converges without a bracket.
     middle, centre, width = 0.5 * (low + high), mean, sigma
     for _ in range(_UNGUARDED):
         _light, here, found, mean_c, mean_s, variance_c, variance_s = window_moments(centre, width, low, high)
@@ -172,7 +174,7 @@ def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[f
             wide = sigma
         else:
             narrow = sigma
-        # along the curve of constant mean
+        # Derivative of the variance by the width along the curve of constant mean.
         rate = variance_s - variance_c * mean_s / mean_c if mean_c > _FLAT else 0.0
         guess = sigma - error / rate if rate > _FLAT else narrow
         sigma = guess if narrow < guess < wide else 0.5 * (narrow + wide)

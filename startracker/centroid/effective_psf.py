@@ -111,7 +111,7 @@ def build_effective_psf(
     grid = np.arange(-reach, reach + 1) / _OVERSAMPLING
     on_grid = basis(grid)
     shape = psf.shape
-    # the Gaussian in the basis
+    # The iteration starts with the Gaussian, expressed in the basis.
     inverse = np.linalg.pinv(on_grid)
     coefficients = inverse @ psf.shares(grid, grid[:, None]) @ inverse.T
     for _ in range(_ROUNDS):
@@ -209,7 +209,7 @@ def _adjust(
     penalty = _ROUGHNESS * scale * (np.kron(rough, np.eye(count)) + np.kron(np.eye(count), rough))
     normal += penalty
     right -= penalty @ coefficients.ravel()
-    # scale: all light; centre: no moment under the Gaussian nearest the core
+    # Two strongly weighted conditions: the total light is fixed, and the first moment under the Gaussian is zero.
     xx, yy, xy = shape
     at = np.linspace(-basis.radius_px, basis.radius_px, 12 * count + 1)
     values = basis(at)

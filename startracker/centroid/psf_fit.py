@@ -257,7 +257,8 @@ def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[flo
     peaks = Peaks(spots.x_peak, spots.y_peak, spots.pixels, spots.saturated)
     starts = _start_values(frame.pixels, peaks, moments)
     if frame.settings.psf is None:
-        # as wide as the windows will be; an image longer than the moments took it for is cut off, not wrong
+        # The image must cover the windows. One that is longer than the moments indicate is truncated, which does no
+        # harm.
         wide = max(frame.half, math.ceil(_WIDTHS * max(sigmas))) + int(starts.half.max()) + 3.0
         psf = frame_psf(frame, spots, starts, sigmas, min(wide, _LARGEST_HALF_PX + 2.0))
     else:
@@ -291,7 +292,7 @@ def _fill_starts(pixels: Pixels, peaks: Peaks, starts: Starts) -> None:
     for n in range(len(starts.x)):
         x, y = peaks.x[n], peaks.y[n]
         off = max(abs(starts.x[n] - x), abs(starts.y[n] - y))
-        # a moment that neighbours have drawn off is not a start
+        # A moment that is displaced by neighbours is not a valid starting value.
         if not math.isfinite(starts.x[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
             starts.x[n], starts.y[n] = x, y
         if peaks.saturated[n]:

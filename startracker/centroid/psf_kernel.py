@@ -228,7 +228,7 @@ def _fit_group(
                 return
         enough = (reweigh or iteration > _WEIGHINGS) and step < _ACCEPTED_PX and gain < _CONVERGED_SIGMA**2
         if step < _CONVERGED_PX or enough:
-            # what the last step gains is known; matrix and χ² are those of its start but for that
+            # The gain of the last step is known in advance, so its result need not be evaluated again.
             chi2, step = chi2 - gain, 0.0
             break
     if step <= _ACCEPTED_PX:

@@ -109,7 +109,7 @@ class PsfModel:
 
         grow = math.ceil(0.5 * max(abs(along_x_px), abs(along_y_px))) * self.oversampling
         side = self.table.shape[0] + 2 * grow
-        # room for the image to be cut off by, and not to come in again on the other side
+        # Zeros around the image keep the periodic transform from wrapping it around.
         padded = fft.next_fast_len(side + 2 * grow, real=True)
         spectrum = fft.rfft2(self.table, (padded, padded))
         down, across = np.fft.fftfreq(padded)[:, None], np.fft.rfftfreq(padded)
@@ -208,7 +208,7 @@ def gaussian_psf(
     if not (xx > 0 and yy > 0 and determinant > 0):
         raise InputError(f"no Gaussian has the variances {xx}, {yy} and the covariance {xy} px²")
     narrow = math.sqrt(determinant / max(xx, yy))
-    # even, so that a pixel's borders are points of the table
+    # Even, so that the borders of a pixel are points of the table.
     wanted = 2 * math.ceil(0.5 * _SAMPLES_A_SIGMA / narrow)
     oversampling = min(max(wanted, _LEAST_OVERSAMPLING), _MOST_OVERSAMPLING)
     middle = math.ceil(radius_px * oversampling) + 2
@@ -217,7 +217,7 @@ def gaussian_psf(
     if terms <= _MOST_TERMS:
         axes = gaussian_axes(xx, yy, xy, oversampling, middle, terms)
         return _ProductPsf(axes, oversampling, (xx, yy, xy), width_error)
-    # the point values on the grid, and a quadrature over the pixel whose nodes are grid points
+    # Values of the density on a grid, integrated over pixels by a quadrature whose nodes are the points of the grid.
     fine = np.arange(-middle - oversampling, middle + oversampling + 1) / oversampling
     down = fine[:, None]
     points = np.exp((xy * fine * down - 0.5 * (yy * fine**2 + xx * down**2)) / determinant)
@@ -265,7 +265,7 @@ def _over_pixel(values: FloatArray, oversampling: int) -> FloatArray:
     first, last = slice(1, n - 2 * half - 1), slice(2 * half + 1, n - 1)
     inner = total[..., last] - total[..., first]  # points first+1 … last
     inner = inner + 0.5 * (values[..., first] - values[..., last])
-    # Euler-Maclaurin: −h/12 (f'(b) − f'(a)), by central differences
+    # Euler–Maclaurin: −h/12 (f'(b) − f'(a)), with central differences.
     slope_b = 0.5 * (values[..., 2 * half + 2 :] - values[..., 2 * half : -2])
     slope_a = 0.5 * (values[..., 2 : n - 2 * half] - values[..., : n - 2 * half - 2])
     return np.asarray((inner - (slope_b - slope_a) / 12.0) / oversampling)

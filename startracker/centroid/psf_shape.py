@@ -131,7 +131,7 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
         largest = max(abs(change[0]), abs(change[1]), abs(change[2]))
         if not math.isfinite(largest):
             return
-        part = 1.0 if step < _DAMPED else 0.5  # faint stars may go to and fro
+        part = 1.0 if step < _DAMPED else 0.5  # fits of faint stars may oscillate
         short = min(part, _LONGEST_STEP * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
         while short > _SHORTEST and not _is_ellipse(
             a + short * change[0], b + short * change[1], c + short * change[2]
@@ -226,7 +226,7 @@ def _equations_of_star(
     if is_first:
         space.at[n, 2] = above / below
         return above if n < _FEWEST_ALONE or above > _LEAST_SNR * math.sqrt(below) else 0.0
-    # a loop: for the error that an array expression may raise, numba compiles its text, which takes seconds
+    # A loop, because for an array expression numba also compiles the text of its error, which takes seconds.
     for m in range(6):
         for k in range(count):
             slopes[m, k] *= flux

@@ -133,7 +133,7 @@ def common_skewness(
             continue
         if not factorise(normal, _PARAMETERS):
             continue
-        # the last rows of Cholesky's factor are that of κ's normal matrix, the others eliminated
+        # The last rows of Cholesky's factor hold the normal matrix of κ with the other unknowns eliminated.
         for p in range(_PARAMETERS):
             for q in range(p):
                 right[p] -= normal[p, q] * right[q]
@@ -221,7 +221,7 @@ def skewness_covariance(pixels: Pixels, table: FloatArray, unfit: BoolArray, hal
     # The first test excludes undersampled images, the second streaks.
     if not middle - spread > _NARROWEST or middle + spread > _LONGEST * (middle - spread):
         return common
-    x, y, flux = np.ascontiguousarray(table[:, :3].T)  # as columns the kernel would be compiled once more
+    x, y, flux = np.ascontiguousarray(table[:, :3].T)  # strided columns would need another compilation
     stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT)
     _fill_covariance(pixels, table, stars, half, shape, common)
     return common

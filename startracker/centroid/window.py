@@ -117,7 +117,7 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
     height, width = image.shape
     low_x, high_x = -min(half, x), min(half, width - 1 - x)
     low_y, high_y = -min(half, y), min(half, height - 1 - y)
-    # sums of the signal and of its variance, times 1, i, j, i², j², ij
+    # Sums of the signal and of its variance, times 1, i, j, i², j² and ij.
     s = si = sj = sii = sjj = 0.0
     v = vi = vj = vii = vjj = vij = 0.0
     for j in range(low_y, high_y + 1):
@@ -224,7 +224,7 @@ def _measure(
             continue
         _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, axes, row)
         if row[3] > limit or row[4] > limit:
-            # known no better than a star image, or a pixel, is wide: it is not a star image
+            # If the error is as large as a star image, or a pixel, there is not a star image.
             for k in range(MEASURED):
                 row[k] = np.nan
 
@@ -238,7 +238,7 @@ def _measure_flat_top(pixels: Pixels, peaks: Peaks, index: int, half: int, out: 
     w = read_window(pixels, x, y, reach)
     if not w[0] > 0.0:
         return
-    # charge that ran along one axis shows as a difference of the widths
+    # Blooming, in which charge spreads along one axis, makes the two widths different.
     bloomed = math.sqrt(max(w[3], 0.0)) - math.sqrt(max(w[4], 0.0))
     extra = _FLAT_TOP_ERROR_PX**2 + (_BLOOM_SHARE * bloomed) ** 2
     out[0], out[1], out[2] = x + w[1], y + w[2], w[0]
@@ -262,7 +262,7 @@ def _measure_star(
         for axis in range(2):
             moment, low, high = w[1 + axis], int(w[8 + 2 * axis]), int(w[9 + 2 * axis])
             if correct:
-                # of a whole window from the table, so that the first step is the last
+                # For a complete window the table is so accurate that one step of Newton's method is sufficient.
                 guess = guess_centre(moment, centres[axis]) if low == -half and high == half else moment
                 axes[axis, 0], axes[axis, 1], axes[axis, 2] = invert_from(guess, moment, sigma[axis], low, high)
             else:
@@ -277,7 +277,8 @@ def _measure_star(
     if not math.isfinite(axes[0, 1] + axes[1, 1]):
         return
     for axis in range(2):
-        # light that stays within one pixel says little of where, but never less than that it is this pixel
+        # If all light is within one pixel, the moments hardly determine the position, but it is at least known to be in
+        # this pixel, with a variance of 1/12 px².
         if sigma[axis] < _WITHIN_PIXEL:
             axes[axis, 1] = min(axes[axis, 1], math.sqrt(1.0 + _PIXEL_VARIANCE / w[5 + axis]))
     slope_x, slope_y = axes[0, 1], axes[1, 1]

@@ -144,7 +144,7 @@ def _impulses(image: Image, level: Plane, noise: Plane) -> tuple[Flags, int, int
                 for i in range(max(x - 1, 0), min(x + 2, width)):
                     above += int(np.float32(image[j, i]) > limit)
                     higher += int(image[j, i] > image[y, x])
-            hot = above <= 3  # itself and two more
+            hot = above <= 3  # the pixel itself and two neighbours
             bad[y, x] = hot
             alone += int(above == 1)
             peaks += int(hot or higher == 0)

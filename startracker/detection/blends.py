@@ -34,7 +34,8 @@ def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     before, after, above, below = x > 0, x + one < width, y > 0, y + one < height
     left, right = x - np.uint64(before), x + np.uint64(after)
     up, down = y - np.uint64(above), y + np.uint64(below)
-    # without a branch, as one in a few pixels is a peak; beyond the border the pixel itself stands for the missing one
+    # Without branches, which would often be mispredicted, because one pixel in a few is a peak. At the border the pixel
+    # itself replaces the missing neighbours.
     higher = (image[y, right] > value) | (image[down, left] > value) | (image[down, x] > value)
     higher |= (image[down, right] > value) | (image[up, left] > value) | (image[up, x] > value)
     higher |= (image[up, right] > value) | (image[y, left] > value)
@@ -104,7 +105,7 @@ def part_blends(
         return table, 0
     parts = np.zeros(count, SOURCE)
     _share_pixels(runs, number, (head, following), peaks.position, image, level, np.float32(saturation), parts)
-    # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
+    # The brightest pixel of a part is its peak, unless the slope of a neighbour extends into its cell.
     kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= peaks.height)
     return join_tables(table.take((head < 0).nonzero()[0]), parts.take(kept.nonzero()[0])), parted
 
@@ -211,7 +212,7 @@ def _share_pixels(
             nearest, best, other = -1, _FAR_PX2, first
             while other >= 0:
                 dx, dy = x - position[other, 0], y - position[other, 1]
-                # equal distances go to the brighter, which comes later in the chain
+                # At equal distances the pixel is assigned to the brighter peak, which is later in the chain.
                 if dx * dx + dy * dy <= best:
                     nearest, best = other, dx * dx + dy * dy
                 other = following[other]

@@ -106,7 +106,7 @@ def is_clutter(
     outer = ring + _GAP_PX + _RING_PX
     pitch = 2 * (outer + len(half)) - 1
     filter_stamp(searched.image, searched.level, half, x, y, outer, stamp.work, filtered)
-    # most rings have nothing in them, which needs no sectors
+    # Most rings contain only sky, and then the sectors are not needed.
     if _is_calm(filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet):
         return False
     height = np.float64(filtered[outer * pitch + outer])
@@ -141,7 +141,7 @@ def _is_exceeded(
     isolation: float,
 ) -> bool:  # fmt: skip
     """Whether a candidate of this height fails to stand out from the maxima of its ring's sectors, see `is_clutter`."""
-    # numbers without a sign as indices: one that may be negative costs a comparison each time
+    # Unsigned indices, because numba compares signed ones with zero each time.
     n, count, zero = np.uint64(0), np.uint64(0), np.float32(0.0)
     first = second = third = fourth = zero
     for sector in range(8):
@@ -158,7 +158,7 @@ def _is_exceeded(
         second = max(second, min(first, top))
         first = max(first, top)
     taken = np.int64(count)
-    # the median is below a value when more than half of the sample is
+    # The median is below a value if more than half of the sample is, which needs no sorting.
     below, limit = 0, np.float64(fourth) - quiet
     for k in range(taken):
         below += sample[k] < limit

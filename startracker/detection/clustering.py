@@ -209,8 +209,8 @@ def merge_clusters(table: Sources, tau: float, growth: float = 0.0) -> Sources:
     count, label = connected_components(link, directed=False)
     merged = np.zeros(count, SOURCE)
     for column in ("pixels", "flux", "saturated", "edge", "sum_x", "sum_y", "sum_xx", "sum_yy", "sum_xy"):
-        np.add.at(merged[column], label, table[column])  # of flags: whether any is set
-    # in the order of rising peaks the highest writes last; of equal ones the first in reading order
+        np.add.at(merged[column], label, table[column])  # for flags, this is a logical or
+    # In ascending order of peaks the highest is written last; of equal ones, the first in reading order.
     order = np.lexsort((-table["x_peak"], -table["y_peak"], table["peak"]))
     for column in ("x_peak", "y_peak", "peak", "peak_residual"):
         merged[column][label[order]] = table[column][order]

@@ -147,7 +147,7 @@ def _search(xy: FloatArray, lines: FloatArray, tried: int) -> tuple[int, FloatAr
     for first in range(tried):
         for second in range(first + 1, tried):
             for sign in (1.0, -1.0):
-                # least squares of two points: the turn from their differences, the shift from their means
+                # Least squares for two points: the rotation follows from their differences, the shift from their means.
                 x, y = xy[second, 0] - xy[first, 0], xy[second, 1] - xy[first, 1]
                 u = sign * lines[second, 0] - lines[first, 0]
                 v = sign * lines[second, 1] - lines[first, 1]

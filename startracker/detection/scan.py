@@ -136,7 +136,7 @@ def _sample_row(
     for x in range(np.uint64(columns[0]), np.uint64(image.shape[1]), np.uint64(columns[1])):
         sample[index] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
         index += np.uint64(is_value(image[row, x]))
-    return int(np.int64(index))  # a signed number, as callers count with
+    return int(np.int64(index))  # signed, for the arithmetic of the callers
 
 
 def search_rows(
@@ -231,7 +231,7 @@ def _search(
             else:
                 for x in range(np.uint64(width)):
                     work[newest + x] = 0.0
-        # rows are looked at when the next come, as what was just written is not yet there to read
+        # Rows are searched one step later, because reading values that were just written stalls the processor.
         for row in range(max(y - reach - 2, 0), min(y - reach, height)):
             total, first = totals[row & 1], np.uint64((row & 1) * len(words) // 2)
             count = _collect_marked(words, first, work, total, row, groups, found, count)
@@ -241,7 +241,8 @@ def _search(
         centre = y - reach
         if not 0 <= centre < height:
             continue
-        # first what is above the lower of the two lines' limits, which takes little time, then what is above its own
+        # The lower limit of the two lines of the noise map is used here, which costs little; `runs_above` applies the
+        # actual one.
         for row in range(centre, min(centre + 2, height)):
             between = 0.0 <= noise.share[row] <= 1.0
             if noise.cell[row] != cell or not between:
@@ -308,7 +309,8 @@ def _cut_groups(
     """Fill `runs` (flat) and `signal` of `runs_above`; returns the numbers of runs and of values."""
     size, width, one = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1)
     three = np.uint64(3)
-    # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
+    # Row, first column and last column + 1 of each run are written at every pixel; the index advances only where a run
+    # begins or ends, which avoids branches.
     edges, values, row = np.uint64(0), np.uint64(0), np.uint64(0)
     stop, lines = np.uint64(0), noise.lines
     inside = False

@@ -133,7 +133,8 @@ def _measure(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight:
             continue
         vx, vy, vxy = sxx / total - mx * mx, syy / total - my * my, sxy / total - mx * my
         middle, apart = 0.5 * (vx + vy), math.hypot(0.5 * (vx - vy), vxy)
-        # noise of a second moment: Σ g² (k² − v)² σ² / S², by the integral over a Gaussian weight
+        # Noise of a second moment, Σ g² (k² − v)² σ² / S², with the sum replaced by the integral over a Gaussian
+        # weight.
         sigma, spread = np.float64(noise[pixels[n, 1], pixels[n, 0]]), w * w / 2.0 * 1.5 - w * middle + middle * middle
         error = sigma / total * math.sqrt(max(math.pi * w * spread, 0.0))
         minor, major, widest = max(middle - apart, 0.0), middle + apart, 0.95 * w

@@ -22,7 +22,7 @@ def find_runs(image: Image, level: FloatImage, noise: FloatImage, threshold: np.
     They are in reading order. Pixels that are not finite are not above.
     """
     height, width = image.shape
-    above = np.zeros((height, width + 2), np.bool_)  # a pixel below on either side of each row
+    above = np.zeros((height, width + 2), np.bool_)  # one column of False on either side
     above[:, 1:-1] = (image > level + threshold * noise) & (image < np.inf)
     edges = np.flatnonzero(above.ravel()[1:] != above.ravel()[:-1]).reshape(-1, 2)  # rises and falls alternate
     row = edges[:, 0] // (width + 2)
@@ -81,7 +81,7 @@ def _join(runs: IntArray, parent: IntArray, number: IntArray) -> int:
                 # The smaller index becomes the root, so that roots come first in reading order.
                 parent[max(a, b)] = min(a, b)
             other += 1
-        # runs of the row above that end left of this one cannot touch a later one
+        # Runs of the row above that end to the left of this one cannot touch a later one.
         while above < here and runs[above, 2] < runs[index, 1]:
             above += 1
     count = 0

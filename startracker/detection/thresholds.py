@@ -37,7 +37,7 @@ BAD_SHARE, FEWEST_FRAMES = 0.75, 3
 """Share of the frames in which a pixel deviates, and least number of frames: while the sky moves, a star covers a pixel
 in one frame, or in two if it moves along its own image."""
 
-# ---------------------------------------------------------------------- what is looked at
+# ---------------------------------------------------------------------- objects that are examined
 LOOKED_AT, LOOKED_AT_MORE = 6, 36
 """Objects examined for each star wanted, brightest first; an image full of noise has thousands. The second number is
 used if these give too few stars or are all as sharp as hot pixels, of which a warm detector also has thousands."""
@@ -53,7 +53,7 @@ OVERSIZED_CONTRAST = 2.0
 OVERSIZED_LEVELS = 24
 """Largest number of thresholds: 2²⁴ times the first is beyond the range of any converter."""
 
-# ---------------------------------------------------------------------- parting of blends
+# ---------------------------------------------------------------------- separation of blends
 BLEND_PIXELS = 6
 """Least pixels of an object that can be two stars: two peaks 2 px apart, with their neighbours, have no fewer."""
 BLEND_LEAST_PX2 = 4

@@ -115,7 +115,7 @@ def whole_step(values: NDArray[Any]) -> int:
             return 0
     if not len(values):
         return 0
-    # most images have the step 1, which a few values show
+    # Most images have a step of 1, which a few values reveal.
     for some in (values[:_FEW_VALUES], values):
         step = int(np.gcd.reduce(some.astype(np.int64) - int(values[0])))
         if step == 1:
@@ -145,7 +145,7 @@ def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near:
         # Bisect once the value is enclosed; until then double the stride away from the starting point.
         if abs(high - low) < np.inf:
             trial = low + step * np.rint(0.5 * (high - low) / step)
-            if not low < trial < high:  # too large for its step to be resolved
+            if not low < trial < high:  # float32 does not resolve the step
                 break
         elif stride > step * _FARTHEST:
             break
@@ -182,7 +182,7 @@ def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float
     Each row begins `_SHIFT` pixels later than the one before, so that a bad column cannot fill the sample.
     """
     y0, y1, x0, x1 = tile
-    # numbers without a sign as indices: a signed one may be negative, which costs a comparison each time
+    # Unsigned indices, because numba compares signed ones with zero each time.
     first, stop, pace = np.uint64(x0), np.uint64(x1), np.uint64(stride)
     shift, start, used = np.uint64(_SHIFT % stride), np.uint64(x0 + y0 * _SHIFT % stride), np.uint64(0)
     for y in range(np.uint64(y0), np.uint64(y1)):
@@ -193,7 +193,7 @@ def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float
             x += pace
         start += shift
         start -= pace if start >= first + pace else np.uint64(0)
-    return int(np.int64(used))  # a signed number, as callers count with
+    return int(np.int64(used))  # signed, for the arithmetic of the callers
 
 
 def tile_statistics(image: Image, rows: int, columns: int, step: float) -> FloatArray:
@@ -210,7 +210,7 @@ def tile_statistics(image: Image, rows: int, columns: int, step: float) -> Float
     return statistics
 
 
-# whole numbers, and what lies on a lattice, have the same sums in any order
+# "reassoc" allows vectorised sums. Integers, and values on a lattice, have the same sum in any order.
 @kernel_with(fastmath={"reassoc", "nsz"})
 def _fill_statistics(
     image: Image, stride: int, step: float, sample: NDArray[np.float32], quantiles: FloatArray, statistics: FloatArray
@@ -231,13 +231,14 @@ def _fill_statistics(
                     quantiles[k] = find_kth(sample, count, rank, step, quantiles[k])
                 if not step > 0.0 or math.isnan(quantiles[k]):
                     quantiles[k] = ranked(sample[:count], rank)[0]
-            # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again
+            # The spread is measured above the median, because an image cut off at zero has none below it; the clipping
+            # then removes the stars.
             median, before = quantiles[0], -1
             mean, std = median, quantiles[1] - median
             for _ in range(_CLIPPINGS):
                 mean, std, kept = _clipped(sample, count, median, _clip(std, step))
                 std /= _CLIPPED_STD
-                if kept == before:  # the same ones, as all lie about the median
+                if kept == before:  # the same values, as the intervals are concentric
                     break
                 before = kept
             statistics[0, tile_row, tile_column], statistics[1, tile_row, tile_column] = mean, std
@@ -261,7 +262,7 @@ def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
         for r in range(rows):
             for c in range(columns):
                 padded[r + 1, c + 1] = tiles[n, r, c]
-        for side in range(2):  # the border continues from the two lines beside it
+        for side in range(2):  # the border is extrapolated from the two nearest lines
             border, near, inwards = side * (rows + 1), 1 + side * (rows - 1), (1 - 2 * side) * min(1, rows - 1)
             for c in range(1, columns + 1):
                 padded[border, c] = 2.0 * padded[near, c] - padded[near + inwards, c]
@@ -271,7 +272,8 @@ def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
                 padded[r, border] = 2.0 * padded[r, near] - padded[r, near + inwards]
         for r in range(rows):
             for c in range(columns):
-                # the median of nine is that of the largest least, the middle middle and the least largest of its rows
+                # The median of 3 × 3 values is the median of three: the largest minimum, the median of the medians, and
+                # the smallest maximum of the rows.
                 low, high, first, second, third = -np.inf, np.inf, 0.0, 0.0, 0.0
                 for j in range(r, r + 3):
                     a, b, d = padded[j, c], padded[j, c + 1], padded[j, c + 2]

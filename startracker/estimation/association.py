@@ -83,7 +83,7 @@ def predicted_pixels(
     for n in range(len(guides)):
         offset[n, 0], offset[n, 1] = pixels[n, 0] - image[CX], pixels[n, 1] - image[CY]
         guide, row_s = guides[n], (pixels[n, 1] - middle) * row_time_s
-        # θ = motion × v, with −θ × v = motion, for motion across v
+        # A space motion across v is a rotation by θ = motion × v of the camera, because −θ × v = motion.
         x, y, z = cross(motion[:, guide], directions[guide])
         for k in range(3):
             turn = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
@@ -240,7 +240,7 @@ def paired(
         merged[n, 0], merged[n, 1], several[n] = xy[n, 0], xy[n, 1], 1.0
         if near[n] >= 0:
             owner[near[n]] = n
-    left = np.empty_like(positions)  # NaN is near nothing
+    left = np.empty_like(positions)  # NaN is not within any gate
     for k in range(len(positions)):
         left[k, 0], left[k, 1] = positions[k, 0] if owner[k] < 0 else math.nan, positions[k, 1]
     for n in range(len(xy)):

@@ -85,7 +85,7 @@ def average(stars: Linearised, fit: Fitted) -> Average:
     tried = [best]
     while len(best.rows) >= FEWEST_STARS:
         others = _without_each(best, stars, fit)
-        # the alternatives of the last star left out remain those of the average
+        # The alternatives to the last star that was excluded remain part of the average.
         tried = [h for h in tried if len(h.rows) <= len(best.rows) + 1] + others
         likeliest = max(others, key=lambda hypothesis: hypothesis.log_weight)
         if likeliest.log_weight <= best.log_weight:

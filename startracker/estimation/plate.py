@@ -226,7 +226,7 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
         axes_r = _tangent_axes(axes_r[2] + offset @ axes_r[:2])
     swing, reach = matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1]
     length = math.hypot(swing, reach)
-    # a mirror image, or no match, has no rotation
+    # A mirror image, or stars that do not match, cannot be mapped by a rotation.
     if not (size < 1e-7 and length > 0.1 and np.linalg.det(matrix) > 0.0):
         raise InputError(_NO_PLATE)
     c, s = reach / length, swing / length

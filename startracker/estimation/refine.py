@@ -254,7 +254,7 @@ class _Field(NamedTuple):
             before, fit = fit, self._averaged(fit, stars)
             if last or np.array_equal(fit.used, before.used):
                 return fit
-            # the attitude may have been far off, and stars not identified
+            # The attitude may have been so wrong that stars were not identified.
             again = self.iterated(fit.used, fit.matrix, len(fit.used))
             pairs, fit = fit.used, again if len(again.used) >= len(fit.used) else fit
         return fit

@@ -275,7 +275,7 @@ class Camera:
         radius = np.hypot((corners[:, 0] - self.cx) / self.fx, (corners[:, 1] - self.cy) / self.fy)
         if self.projection != "pinhole":
             return max(self._angle_rad(float(r)) for r in radius)
-        # a corner beyond the fold of the lens model has no direction: use the undistorted pinhole
+        # A corner beyond the fold of the lens model has no direction; the undistorted pinhole is used there.
         cosine = self.unproject(corners)[:, 2]
         angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan(radius))
         return float(angle.max())

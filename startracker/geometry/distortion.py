@@ -130,7 +130,7 @@ def _fold_radius2(k: FloatArray) -> float:
         bottom = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
         slope_top = k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[4])
         slope_bottom = k[5] + r2 * (2.0 * k[6] + r2 * 3.0 * k[7])
-        # d(r · top/bottom)/dr, times bottom²
+        # The condition is on d(r · top/bottom)/dr, multiplied by bottom².
         if bottom <= 0.0 or top * bottom + 2.0 * r2 * (slope_top * bottom - top * slope_bottom) <= 0.0:
             return r2
     return np.inf

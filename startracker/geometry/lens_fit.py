@@ -265,7 +265,7 @@ def image_equations(
     if amounts is not None:
         vectors = stretch(vectors, amounts)
     pixels, moves, by_vector = sensitivity(camera, vectors)
-    # the effect of the stretch on the rotation, 1e-3, is negligible for the step
+    # The effect of the stretch on the rotation, 1e-3, is negligible for a step.
     columns = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
     if with_refraction:
         x, y = vectors[:, :2].T

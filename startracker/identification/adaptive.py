@@ -228,7 +228,8 @@ class _Search:
         if self._exhausted():
             return True
         votes, fewest = self._plan(assumption)
-        # wider assumptions are searched within their share of operations; only an incomplete stated one is reported
+        # Wider assumptions are searched within their share of the operations; only an incomplete search with the stated
+        # errors is reported.
         stated = assumption.residual < 1.0
         if votes.poles == 0:
             self.pool.cut_short |= stated and votes.cut_short
@@ -275,7 +276,7 @@ class _Search:
             4 if free else 3,
         )
         fewest = fewest_matches(evidence, self._price, self.pool.least_evidence)
-        # only the brightest of them are searched
+        # Only the brightest stars are searched, and with them a part of the matches.
         fewest = max(fewest * n // len(observed), 3)
         if fewest > n:
             return Plan(0, 0, 0), fewest
@@ -295,7 +296,7 @@ class _Search:
             largest = float(self._observed.sigma_rad.max())
             slack = pool.prior.radius_rad + 6.0 * assumption.multiple * largest + assumption.focal_range
             matrix, cosine = pool.prior.attitude.as_matrix(), math.cos(min(slack, math.pi))
-        # with a high false-alarm rate candidates that few other stars confirm are verified, too
+        # With a high false-alarm rate, candidates that few other stars confirm are verified as well.
         chance = max(assumption.chance, _CHANCE_FOR_RATE * settings.false_alarm_rate)
         work = min(_work(assumption, len(self._observed)) * settings.max_operations / _USUAL_OPERATIONS, pool.left)
         multiple, focal_range = assumption.multiple, assumption.focal_range

@@ -211,7 +211,7 @@ def _angle_at(vertex: FloatArray, first: FloatArray, second: FloatArray, sphere:
     dot = np.einsum("ij,ij->i", u, v)
     if not sphere:
         return np.asarray(np.degrees(np.arctan2(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]), dot)))
-    # tangents at the vertex: the two chords without their components along the vertex
+    # Tangents at the vertex are the two chords without their components along the vertex.
     along_u, along_v = np.einsum("ij,ij->i", u, vertex), np.einsum("ij,ij->i", v, vertex)
     sine = np.abs(np.einsum("ij,ij->i", vertex, np.cross(u, v)))
     return np.asarray(np.degrees(np.arctan2(sine, dot - along_u * along_v)))

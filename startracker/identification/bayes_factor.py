@@ -328,18 +328,18 @@ def log_bayes_factor(
     seen = seen[:count]
     if count < 3 or in_field < 1:
         return -math.inf, 1.0
-    # the width that fits best, without magnitudes
+    # The width that fits best is determined without magnitudes.
     volumes, best, highest = np.empty(len(SCALES)), 0, -math.inf
     for s in range(len(SCALES)):
         volumes[s] = _log_volume(information, SCALES[s], focal_sigma) + SCALE_LOG_PRIOR[s]
-        # no match can gain more than the sum of what each gains alone: most of the larger widths need no more
+        # The sum of the largest gains of each match is an upper bound, which excludes most of the larger widths.
         gain = volumes[s] - volumes[best] + _most_gained(matched, seen, SCALES[best], SCALES[s])
         if s > 0 and gain < -_ROUNDING:
             continue
         value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
         if value > highest:
             best, highest = s, value
-    # the widths next to the best one add the most; those left out could only make B larger
+    # Only the best width and its neighbours are summed; the others would only make B slightly larger.
     highest, total = -math.inf, 0.0
     for s in range(max(best - 1, 0), min(best + 2, len(SCALES))):
         for scatter in range(len(SCATTERS_MAG)):

@@ -102,7 +102,8 @@ def next_verified(
         work += taken
         if at < len(candidates.focal) and not is_known(matrix, known, least_cosine):
             focal = candidates.focal[at]
-            for attempt in range(1 if free else 2):  # one call: it is compiled once as a part of this kernel
+            # A loop with one call, because numba compiles a part again for each call.
+            for attempt in range(1 if free else 2):
                 other = verify_attitude(matrix, focal, stars, sky, scale, free or attempt > 0)
                 work += other.operations
                 if attempt == 0 or other.log_b > found.log_b + _BETTER:

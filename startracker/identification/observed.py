@@ -130,7 +130,7 @@ def usable_directions(
     usable, sigma, count = np.empty(len(xy), np.int64), np.empty(len(xy)), 0
     chosen = np.empty_like(directions)
     for n in range(len(xy)):
-        # beyond the lens model's fold there are no directions, NaN on all axes
+        # Beyond the fold of the lens model there are no directions: all axes are NaN.
         if math.isfinite(directions[n, 2]) and stated_px[n] < WORST_PX:
             usable[count], sigma[count] = n, stated_px[n] * pixel_rad
             for axis in range(3):

@@ -150,7 +150,7 @@ def midpoint_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
     vectors."""
     sx, sy, sz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    # the sum and the difference of unit vectors are at right angles
+    # The sum and the difference of unit vectors are perpendicular.
     s, d = 1.0 / math.sqrt(sx * sx + sy * sy + sz * sz), 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     sx, sy, sz, dx, dy, dz = sx * s, sy * s, sz * s, dx * d, dy * d, dz * d
     frame[0, 0], frame[0, 1], frame[0, 2] = sx, sy, sz

@@ -183,7 +183,7 @@ def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: Vot
         total += 2 * (neighbours.high[k] - neighbours.low[k])
         for p in range(neighbours.low[k], neighbours.high[k]):
             for way in range(2):
-                # unsigned, as no index counts from the end
+                # unsigned, because numba lets signed indices count from the end
                 guide = np.uint32(pairs.first[p] if way == 0 else pairs.second[p])
                 bits = covered[np.uint32(k * _CELLS + ((there[p] if way == 0 else back[p]) >> _CELL))]
                 old = sectors[guide]

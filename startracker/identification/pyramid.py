@@ -44,10 +44,11 @@ _INDEXES: WeakKeyDictionary[PairList, KVector] = WeakKeyDictionary()
 _MOST_FINDS = 6
 """Number of triangles of guide stars, best confirmed first, that are recorded for one observed triangle."""
 _GATE_SIGMAS = 4.5
-_ABERRATION = 1.1e-4  # rad a radian of separation, and a little for rounding
+_ABERRATION = 1.1e-4  # rad per radian of separation, with some margin for rounding
 _MOST_CONFIRMING = 24
-_MOST_SILENT = 8  # stars looked at without a confirming one, after which a triangle is dropped
-_SLENDEREST = 4.0  # smallest height of a triangle, in standard errors: below it its sense and roll are unknown
+_MOST_SILENT = 8  # stars examined without success after which a triangle is rejected
+# Least height of a triangle, in standard errors: below it, orientation and roll are undetermined.
+_SLENDEREST = 4.0
 
 
 def pyramid(
@@ -204,7 +205,7 @@ def _confirming(
             steps += 1
             right = star != guides[0] and star != guides[1] and star != guides[2]
             for m in range(3):
-                # chords differ by no more than the angles do
+                # A difference of chords is at most that of the angles.
                 if not right or abs(chord(sky.directions[star], sky.directions[guides[m]]) - apart[m]) > limit[m]:
                     right = False
                     break

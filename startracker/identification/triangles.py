@@ -237,7 +237,7 @@ def _add_similar(
     cos_low = math.cos(min((t.jk + t.error_jk) * longer, math.pi))
     cos_high = math.cos(max((t.jk - t.error_jk) * shorter, 0.0))
     seen = triple_product(stars.vectors[t.i], stars.vectors[t.j], stars.vectors[t.k])
-    thin = t.error_jk * math.sin(t.jk)  # below this the sense of a triangle is noise
+    thin = t.error_jk * math.sin(t.jk)  # below this, the orientation is noise
     i_to_j, i_to_k = stars.magnitude[t.i] - stars.magnitude[t.j], stars.magnitude[t.i] - stars.magnitude[t.k]
     following, partner = _chained(pairs, low_ik, high_ik, i_to_k, sky.v_mag, limits.magnitude_tolerance, head)
     at_i, at_j = _joined(pairs, low_ij, high_ij, i_to_j, sky.v_mag, limits.magnitude_tolerance, head)

@@ -57,7 +57,7 @@ def bayer_to_grey(mosaic: ArrayLike, pattern: str = "RGGB", *, balance: bool = T
     greens = [sites[divmod(k, 2)] for k in range(4) if pattern.upper()[k] == "G"]
     level, noise = np.mean([sky[0] for sky in greens]), np.mean([sky[1] for sky in greens])
     for (row, column), (site_level, site_noise) in sites.items():
-        # a site without noise (black, or coarsely digitised) is only shifted
+        # A site without noise (black, or coarsely digitised) is only shifted.
         gain = noise / site_noise if noise > 0 and site_noise > 0 else 1.0
         grey[row::2, column::2] = (grey[row::2, column::2] - site_level) * gain + level
     return grey

@@ -138,7 +138,7 @@ def read_image(
         # The pattern refers to the rows as stored, so the mosaic is converted before its rows are reversed.
         grey = bayer_to_grey(loaded.image, bayer)
         notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
-        # the gains differ by colour: take the lowest level at which any pixel saturates
+        # The gains differ by colour, so the lowest level at which any pixel saturates is used.
         full = None
         if loaded.saturation_dn is not None:
             top = bayer_to_grey(
@@ -191,7 +191,8 @@ def _read_picture(file: Path, data: bytes, upright: bool) -> LoadedImage:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size is checked here; damaged metadata does not matter
-            # from memory: Pillow maps an uncompressed TIFF file with the rows and columns of the upright picture
+            # Read from memory, because Pillow maps an uncompressed TIFF file with rows and columns of the upright
+            # picture.
             with Image.open(io.BytesIO(data)) as picture:
                 # The header is checked before the pixels are decoded, so that a huge picture needs no memory.
                 width, height = picture.size

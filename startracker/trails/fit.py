@@ -213,13 +213,13 @@ def _first_fit(
     """`fit_trail` for a trail of known length and direction from a search; χ² is infinite if it has too little
     light."""
     first, length = start.copy(), round(2.0 * start[HALF])
-    # noise gives the fit of a long trail several minima along it: begin at the deepest within some pixels
+    # Noise causes several minima along a long trail; the fit starts at the deepest one within some pixels.
     away = min(max(0.05 * length, 3.0), 6.0)
     total = light_along(residual, noise, first, math.ceil(first[HALF] + away))
     _shift(first, best_stretches(total, np.full(1, length))[1][0], 0.0)
     p, covariance, chi2, freedom = fit_trail(residual, noise, first, POSITION, 2.0, inverse_gain)
     for side in (-1.0, 1.0):
-        # a search of clipped light finds bright trails to within some widths only
+        # A search in clipped light locates bright trails only to within some widths.
         if chi2 > _GOOD_CHI2:
             aside = first.copy()
             _shift(aside, 0.0, side * _ASIDE_SIGMAS * first[SIGMA])

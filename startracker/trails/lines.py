@@ -109,7 +109,7 @@ def best_lines(
         low, high = offset.min(), offset.max()
         rows = height + high - low
         for x in range(width):
-            # rows of the sheared image that this column has
+            # Rows of the sheared image that this column covers.
             first = high - offset[x]
             last = first + height
             before, after, column = running[x], running[x + 1], bins[x]
@@ -204,7 +204,7 @@ def candidate_lines(bins: FloatImage, unit: int, direction_rad: float | None = N
         rows = np.ascontiguousarray(half[:, ::2] + half[:, 1::2]) * np.float32(math.sqrt(0.5))
         angle = None if direction_rad is None else 0.5 * math.pi - direction_rad if turned else direction_rad
         table = _lines_one_way(rows, lengths / unit, angle)
-        # a line of the turned image runs along y
+        # A line of the transposed image runs along y.
         scale = unit * np.array([4.0, 2.0, 4.0, 2.0])
         table[:, :4] = (table[:, :4] + _BIN_MIDDLE) * scale - _BIN_MIDDLE
         tables.append(table[:, [1, 0, 3, 2, 4]] if turned else table)
@@ -239,7 +239,7 @@ def _lines_one_way(rows: FloatImage, lengths: FloatArray, angle_rad: float | Non
     x, y = _peaks(best, COARSE_SIGMA)
     number, length = np.divmod(line[x, y], len(lengths))
     span = spans[number, length]
-    # the middle of an even number of bins is between two
+    # The middle of an even number of bins lies between two bins.
     centre = x - 0.5 * (1 - span % 2)
     shift = (centre - x) * 2.0 * slopes[number]
     return np.column_stack([centre, y + shift, 0.5 * span, span * slopes[number], best[x, y]]).astype(np.float64)
