@@ -196,6 +196,7 @@ def _points_of_list(
     width, height = whole_number("width", width), whole_number("height", height)
     if width < 1 or height < 1:
         raise InputError(f"an image needs a size in pixels; got {width}×{height}")
+    # The cleaning uses only the size of the image; the field of view is arbitrary.
     xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, width, height))
     variance = None if variance_px2 is None else _variance_of(xy, source, variance_px2)
     return _Points(width, height, xy, signal, variance, (listed_step(np.size(source) // 2, xy, signal),))

@@ -144,6 +144,7 @@ def pair_up(
     near, _ = nearest_unique(xy, predicted[visible], gate_px)
     seen = np.flatnonzero(near >= 0)
     pairs = np.stack([seen, visible[near[seen]]], axis=1)
+    # The median zero point of fewer pairs could be that of a mismatch.
     if flux is None or len(pairs) < 5:
         return pairs, 0
     zero = -2.5 * np.log10(flux[pairs[:, 0]]) - v_mag[pairs[:, 1]]

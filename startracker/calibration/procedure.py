@@ -132,6 +132,7 @@ def calibrate(
         raise InputError(f"no image could be identified; {first[0]}: {first[1]}")
     kinds = _projections(projection, camera, known[0].camera)
     best: tuple[_Bench, dict[str, str]] | None = None
+    # A wide field may be pinhole or fisheye: both are fitted, and the score decides.
     for kind in kinds:
         bench, outlying = _largest_agreeing(known, kind, refraction, parameters)
         if bench is not None and (best is None or bench.score() < best[0].score()):
@@ -158,6 +159,7 @@ def _largest_agreeing(
     lengths = focal_lengths(starting_camera(known, kind), matrices, matches)
     kept = agreeing(lengths, everyone, lens_known=False)
     bench: _Bench | None = None
+    # The images that agree determine the camera, with which the images are compared again, until they are the same.
     for _ in range(_ROUNDS):
         if 2 * kept.sum() <= len(known):
             break
@@ -213,6 +215,7 @@ class _Bench:
         start = starting_camera(known, kind)
         fixed = None if wanted is None else tuple(n for n in PARAMETERS[kind] if n in {*wanted, "f"})
         bench = cls(known, kind, refraction, fixed, pairs, 0.0, [0] * len(known), _unfitted(start, known))
+        # Two parameters only, because the few identified stars may not determine the others.
         first = fit_jointly(start, [k.matrix for k in known], bench.matches(), ("f", "k1"))
         if first is None:
             return None
@@ -240,6 +243,7 @@ class _Bench:
         """Noise floor from the residuals, fit with all parameters, then with the significant ones only."""
         self.floor_px = self._floor()
         full = self._fit(self.fixed or PARAMETERS[self.kind])
+        # With so few stars the significance of the other terms cannot be tested.
         if full is None or full.freedom < _FEWEST:
             chosen = self._fit(("f", "k1"))
         elif self.fixed:
@@ -257,6 +261,7 @@ class _Bench:
 
     def _floor(self) -> float:
         """Additional noise for which the median normalised residual has its expected value."""
+        # `sigma` must not include the previous floor here.
         self.floor_px = 0.0
         variance = np.concatenate([self.sigma(i)[p[:, 0]] ** 2 for i, p in enumerate(self.pairs)])
         return noise_floor(np.concatenate(self._residuals()), variance, len(self.fit.covariance))
@@ -265,6 +270,7 @@ class _Bench:
         """Pixels (K, 2) of the catalogue stars in the current fit; NaN outside the field."""
         vectors = stretch(self.known[image].sky.directions @ self.fit.matrices[image].T, self.fit.stretches[image])
         pixels = self.fit.camera.project(vectors)
+        # Far outside the field the polynomial of the lens model may lead back into the image.
         pixels[vectors[:, 2] < math.cos(min(1.05 * self.fit.camera.half_diagonal_rad, 3.1))] = np.nan
         return pixels
 
@@ -288,6 +294,8 @@ class _Bench:
         for i, one in enumerate(self.known):
             sky, predicted = one.sky, self._predicted(i)
             gate = np.maximum(REJECT_SIGMAS * scale * self.sigma(i), _LEAST_GATE_PX)
+            # The search uses the wide gate in every round, so that pairs outside the narrow one are counted as
+            # rejected.
             widest = np.maximum(gate, _FIRST_GATE_PX * scale * np.median(self.sigma(i)) + 1.0)
             sigma = self.sigma(i)
             sure = sigma <= _VAGUE * np.median(sigma)
@@ -301,6 +309,7 @@ class _Bench:
 
     def score(self) -> float:
         """Bayesian information criterion per observation, for comparison of projections with nearly the same stars."""
+        # For Gaussian residuals of unknown variance, −2 ln L is count · ln(squares / count) plus a constant.
         count = 2 * self.fit.stars
         squares = sum(float(np.sum(r**2)) for r in self.fit.residuals)
         return math.log(squares / count) + len(self.fit.covariance) * math.log(count) / count
@@ -342,6 +351,7 @@ class _Bench:
                     fit.stretches[i],
                 )
             )
+        # The residuals of a fit of the focal length alone show how much the other terms explain.
         bare = fit_jointly(plain(fit.camera), fit.matrices, matches, ("f",))
         epochs = [k.field.observer.epoch_jyear for k in self.known if k.field.observer is not None]
         result = Calibration(

@@ -66,9 +66,11 @@ def star_widths(
         if not inside or len(found) == _STARS:
             continue
         window = image[y - _HALF_PX : y + _HALF_PX + 1, x - _HALF_PX : x + _HALF_PX + 1].astype(np.float32)
+        # Negated, so that a window that is NaN throughout is rejected, too.
         if saturation_dn is not None and not np.nanmax(window) < _CEILING * saturation_dn:
             continue
         xx, yy, xy_ = _shape(window, float(xy[star, 0]) - x, float(xy[star, 1]) - y, gain_e_per_dn)
+        # The variances along the axes of the ellipse are middle ± spread.
         middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy_)
         if math.isfinite(middle) and middle + spread < _LONGEST_RATIO * (middle - spread):
             found.append(math.sqrt(middle))
@@ -83,6 +85,7 @@ def _shape(window: NDArray[np.float32], dx: float, dy: float, gain_e_per_dn: flo
     if len(values) < rim.sum() // 2:
         return math.nan, math.nan, math.nan
     level = float(np.median(values))
+    # In a noise-free image the scatter of the rim is zero, which would make the weights infinite.
     least = _NOISE_FREE * (float(np.nanmax(window)) - level)
     noise = max(_SIGMA_OF_MAD * float(np.median(np.abs(values - level))), least, 1e-30)
     flat = Background(np.full_like(window, level), np.full_like(window, noise))
@@ -143,11 +146,13 @@ class WidthFilter:
         median = float(np.median(widths_px))
         count = len(widths_px)
         scatter = _SIGMA_OF_MAD * float(np.median(np.abs(widths_px - median))) * count / (count - _FEW_VALUES)
+        # Pooled variance: the frames' squared scatters are weighted by their degrees of freedom and fade with age.
         weight = count - 1.0
         self._scatter2 = _MEMORY * self._scatter2 + weight * scatter**2
         self._weight = _MEMORY * self._weight + weight
         # Squared standard error of a median, π/2 times that of a mean.
         noise = max(_MEDIAN_ERROR**2 * self._scatter2 / self._weight / count, 1e-12)
+        # Without a calibration on the ground, the first frame gives the initial width.
         if math.isnan(self.width_px):
             self.width_px, self.frames = median, 1
             self.variance_px2 = min(self.variance_px2, noise)

@@ -30,6 +30,7 @@ _NAIF = {
     "Earth": (3, 399),
 }
 """Path of each body from the barycentre of the solar system in DE421's numbers; the Moon and the Earth are the last."""
+# The Earth is never a target; the Moon is one only for an observer whose position is known.
 _FROM_ANYWHERE, _FROM_EARTH, _EARTH = tuple(_NAIF)[:-1], tuple(_NAIF)[:-2], len(_NAIF) - 1
 _NOWHERE, _AT_REST = np.full(3, np.nan), np.zeros(3)
 _STEP_DAYS = 0.5
@@ -172,9 +173,11 @@ def _directions_from(here: FloatArray, beta: FloatArray, nodes: FloatArray, u: f
         for axis in range(3):
             change = nodes[1, 0, body, axis] - nodes[0, 0, body, axis]
             left, right = nodes[0, 1, body, axis] - change, nodes[1, 1, body, axis] - change
+            # Cubic Hermite polynomial: the chord, plus u (1 − u) times the deviations of the end slopes from it.
             between = u * (1.0 - u) * ((1.0 - u) * left - u * right)
             position[body, axis] = nodes[0, 0, body, axis] + u * change + between
             slope = change + (1.0 - u) * (1.0 - 3.0 * u) * left - u * (2.0 - 3.0 * u) * right
+            # Per day instead of per step of the table.
             velocity[body, axis] = slope / _STEP_DAYS
     start = position[_EARTH] if math.isnan(here[0]) else here
     for body in range(bodies):
@@ -199,7 +202,9 @@ def _table(number: int) -> tuple[float, FloatArray]:
     segments: dict[int, FloatArray] = {}
     with SPK.open(str(de421_file())) as kernel:
         for segment in kernel.segments:
+            # The tables of the first and last years extend beyond DE421; `_directions` rejects such dates.
             position_km, velocity_km_day = segment.compute_and_differentiate(np.clip(jd, *DE421_SPAN_JD))
             segments[segment.target] = np.stack([position_km, velocity_km_day * _STEP_DAYS]) / AU_KM
     paths = [np.sum([segments[number] for number in path], axis=0) for path in _NAIF.values()]
+    # From (body, position or change, axis, time) to the order in which one date is contiguous.
     return first_jd, np.ascontiguousarray(np.array(paths).transpose(3, 1, 0, 2))

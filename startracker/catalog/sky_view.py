@@ -44,11 +44,13 @@ def field_shape(camera: Camera, margin_px: float = 2.0) -> FieldShape:
     along = np.linspace(0.0, 1.0, _STEPS_PER_SIDE, endpoint=False)
     x = np.concatenate([low_x + along * (high_x - low_x), np.full(len(along), high_x)])
     y = np.concatenate([np.full(len(along), low_y), low_y + along * (high_y - low_y)])
+    # The other two sides are the first two, reflected through the image centre.
     rim = np.concatenate([np.stack([x, y], 1), np.stack([low_x + high_x - x, low_y + high_y - y], 1)])
     middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
     centre = camera.unproject(middle)[0]
     if not np.isfinite(centre).all():
         centre = np.array([0.0, 0.0, 1.0])
+    # Any transverse axis will do; the y axis is replaced where the centre is nearly parallel to it.
     across = np.cross([0.0, 1.0, 0.0] if abs(centre[1]) < 0.9 else [1.0, 0.0, 0.0], centre)
     across /= np.linalg.norm(across)
     axes = np.stack([across, np.cross(centre, across), centre])
@@ -64,6 +66,7 @@ def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArra
     """Directions (N, 3) of the points of the rim, or of the outermost points towards them for which the lens is
     invertible."""
     vectors = camera.unproject(rim)
+    # Points are moved towards the centre in steps of 2 % until the lens model can be inverted there.
     for share in np.linspace(0.98, 0.02, 49):
         lost = ~np.isfinite(vectors).all(axis=1)
         if not lost.any():
@@ -77,6 +80,7 @@ def in_shape(x: float, y: float, z: float, shape: FieldShape) -> bool:
     """Whether a unit vector in the camera frame is on the image."""
     axes = shape.axes
     cosine = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    # Most stars of the sky are rejected here, before the arctangent.
     if cosine < shape.widest_cosine:
         return False
     across = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
@@ -112,6 +116,7 @@ class VoxelGrid(NamedTuple):
 
 def voxel_grid(directions: FloatArray) -> VoxelGrid:
     """Grid of unit vectors (N, 3), with about two stars per cube that intersects the sphere."""
+    # The sphere's area, 4π, intersects about 4π / side² cubes.
     side = math.sqrt(4.0 * math.pi * _STARS_PER_CUBE / max(len(directions), 1))
     per_axis = min(max(int(2.0 / side), 1), _MOST_CUBES_PER_AXIS)
     cell = np.clip(((directions + 1.0) * (0.5 * per_axis)).astype(np.int64), 0, per_axis - 1)
@@ -132,6 +137,7 @@ def _cell_range(centre: float, reach: float, per_axis: int) -> tuple[int, int]:
 @kernel_part
 def star_within(x: float, y: float, z: float, chord2: float, directions: FloatArray, grid: VoxelGrid) -> bool:
     """Whether a star is within √`chord2` of the unit vector (x, y, z)."""
+    # The grid contains directions without the aberration and proper motion of those that are compared.
     reach = math.sqrt(chord2) + DRIFT
     x0, x1 = _cell_range(x, reach, grid.per_axis)
     y0, y1 = _cell_range(y, reach, grid.per_axis)
@@ -166,6 +172,7 @@ def stars_in_cone(
                 star = grid.members[m]
                 if directions[star, 0] * x + directions[star, 1] * y + directions[star, 2] * z >= cosine:
                     if count == len(out):
+                        # Doubling limits the cost of all copies to that of filling the array.
                         longer = np.empty(2 * count, np.int32)
                         for k in range(count):
                             longer[k] = out[k]
@@ -263,5 +270,6 @@ def apparent_directions(
         x = start[0, i] + years * motion[0, i] - p * position_au[0]
         y = start[1, i] + years * motion[1, i] - p * position_au[1]
         z = start[2, i] + years * motion[2, i] - p * position_au[2]
+        # The length of (x, y, z) is not 1; `aberrated` allows for it.
         out[i, 0], out[i, 1], out[i, 2] = aberrated(x, y, z, velocity)
     return out

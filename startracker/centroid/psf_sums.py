@@ -21,6 +21,7 @@ def interpolate(size: int, oversampling: int, distance: float, weights: FloatArr
     position = distance * oversampling + (size - 1) // 2
     first = math.floor(position)
     t = position - first
+    # Keys' cubic with a = −½ in Horner's form, then its derivative by t.
     weights[row, 0], weights[row, 1] = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
     weights[row, 2], weights[row, 3] = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
     weights[row, 4], weights[row, 5] = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
@@ -63,6 +64,7 @@ def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: F
     size = axes.shape[1] if len(axes) else table.shape[0]
     first_x = interpolate(size, oversampling, dx, weights, 0)
     first_y = interpolate(size, oversampling, dy, weights, 1)
+    # numba tests signed indices for negative values, which prevents vectorisation; `n` is therefore unsigned.
     share, by_x, by_y, n = out[0], out[1], out[2], np.uint64(0)
     if not len(axes):
         for j in range(high):
@@ -81,6 +83,7 @@ def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: F
             s, t = share_y[j], slope_y[j]
             for i in range(wide):
                 p, px, py = share_x[i] * s, slope_x[i] * s, share_x[i] * t
+                # `out` is not initialised, so the first product is stored and the others are added.
                 if term == 0:
                     share[n], by_x[n], by_y[n] = p, px, py
                 else:
@@ -143,6 +146,7 @@ def weigh_pixels(
         light, by_x, by_y, f = shares[3 * star], shares[3 * star + 1], shares[3 * star + 2], flux[star]
         before = residuals if star else signal
         for n in range(len(signal)):
+            # dx and dy are measured from the star to the pixel, hence the opposite sign for the position of the star.
             light[n], by_x[n], by_y[n] = f * light[n], -f * by_x[n], -f * by_y[n]
             residuals[n] = before[n] - light[n]
     inverse_gain, flat_error, chi2 = noise[0], noise[1], 0.0

@@ -224,7 +224,7 @@ def _measure(
             continue
         _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, axes, row)
         if row[3] > limit or row[4] > limit:
-            # If the error is as large as a star image, or a pixel, there is not a star image.
+            # A fit with a standard deviation above a pixel and above the PSF's found no star image.
             for k in range(MEASURED):
                 row[k] = np.nan
 

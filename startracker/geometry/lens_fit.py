@@ -119,6 +119,7 @@ def fit_jointly(
             return None
         if not np.isfinite(step).all():
             return None
+        # The step is halved until the lens is one-to-one and the cost does not increase.
         for _ in range(12):
             moved = _moved(state, names, step, with_refraction)
             if is_one_to_one(moved.camera):
@@ -175,9 +176,11 @@ def noise_floor(residuals: FloatArray, variance_px2: FloatArray, fitted: int = 0
         Number of parameters fitted to these residuals.
     """
     squares = np.sum(residuals**2, axis=1)
+    # The median of χ² with two degrees of freedom is 2 ln 2; the fit reduces it by its share of the degrees of freedom.
     wanted = 2.0 * math.log(2.0) * (1.0 - min(fitted / (2.0 * len(squares)), 0.9))
     if np.median(squares / variance_px2) <= wanted:
         return 0.0
+    # If the upper limit were the only variance, the median would have the expected value.
     low, high = 0.0, float(np.median(squares)) / wanted
     for _ in range(16):
         middle = 0.5 * (low + high)
@@ -302,6 +305,7 @@ def _normal_equations(
         normal[np.ix_(where, where)] += of_image
         gradient[where] += right
     for name, sigma in _held(names, state):
+        # A prior is a further observation, of the parameter itself.
         k = names.index(name)
         normal[k, k] += 1.0 / sigma**2
         gradient[k] -= (value_of(name, state.camera) - prior_of(name, state.camera)[0]) / sigma**2

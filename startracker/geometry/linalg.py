@@ -25,6 +25,7 @@ def factorise(matrix: FloatArray, size: int) -> bool:
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             if i == j:
+                # Negated, so that NaN is rejected, too.
                 if not total > _LEAST_PIVOT * matrix[i, i]:
                     return False
                 matrix[i, i] = math.sqrt(total)
@@ -36,6 +37,7 @@ def factorise(matrix: FloatArray, size: int) -> bool:
 @kernel
 def substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
     """Solution of L Lᵀ z = right, in place."""
+    # Forward substitution, L y = right, then back substitution, Lᵀ z = y.
     for i in range(size):
         for k in range(i):
             right[i] -= factor[i, k] * right[k]
@@ -154,6 +156,7 @@ def rotate_back(matrix: FloatArray, vector: FloatArray) -> tuple[float, float, f
 def rotated(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
     """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
     angle = math.sqrt(x * x + y * y + z * z)
+    # At angle 0 both factors are multiplied by zero vectors.
     s, c = 1.0, 0.0
     if angle > 0.0:
         s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)

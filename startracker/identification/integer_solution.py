@@ -192,6 +192,7 @@ def integer_tables(
     """
     tables = TriadTables.build(FixedArithmetic(), star_id, ra_deg, dec_deg, v_mag, max_separation_deg)
     rank = np.empty(len(tables), dtype=np.int64)
+    # The inverse of the permutation that sorts by brightness; equal magnitudes are ranked by index.
     rank[np.lexsort((np.arange(len(tables)), tables.v_mag))] = np.arange(len(tables))
     return replace(tables, v_mag=rank)  # type: ignore[arg-type]  # only ever compared
 
@@ -281,6 +282,8 @@ class _Pool:
         self._reached("few_fit" if state == FEW_FIT else "not_spread" if state == NOT_SPREAD else "weak_evidence")
         if state in (FEW_FIT, NOT_SPREAD):
             return
+        # The rows of a matrix are the camera's axes in the sky: the third is the boresight, and the first also shows
+        # the roll.
         right, _, boresight = np.abs(matrix - self.matrix).max(axis=1).tolist()
         same = self.found and boresight <= check.same and right <= check.same_roll
         better = not self.found or evidence > self.evidence

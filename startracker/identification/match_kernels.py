@@ -108,8 +108,10 @@ def mark(w: Windows, partners: WordArray) -> None:
     one = np.uint64(1)
     for p in range(len(w.i)):
         i, j, brighter = w.i[p], w.j[p], w.magnitude[w.i[p]] - w.magnitude[w.j[p]]
+        # One bit of a 64-bit word for each observed star.
         bit_i, bit_j = one << np.uint64(i), one << np.uint64(j)
         for k in range(w.low[p], w.high[p]):
+            # A guide pair can match an observed pair in either order.
             for turn in range(2):
                 a, b = (w.first[k], w.second[k]) if turn == 0 else (w.second[k], w.first[k])
                 if _agree(w, brighter, i, a, j, b):
@@ -169,6 +171,7 @@ def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
                 if shapes.cos_low[obs[a], obs[b]] <= cosine <= shapes.cos_high[obs[a], obs[b]]:
                     turn = triple_product(shapes.vectors[seen[0]], shapes.vectors[obs[a]], shapes.vectors[obs[b]])
                     real = triple_product(shapes.directions[seen[1]], u, w)
+                    # Orientations that noise may have changed are not compared.
                     agree = turn * real > 0.0 or abs(turn) < shapes.mirror_floor[obs[a], obs[b]]
             group.support[a, b] = group.support[b, a] = agree
             group.degree[a] += agree
@@ -241,6 +244,7 @@ def validate(groups: Groups, shapes: Shapes, min_stars: int) -> tuple[IntArray, 
             continue
         pairs[0, 0], pairs[0, 1] = groups.observed[g], groups.guide[g]
         for m in range(count):
+            # `collect` stores a couple as one number: observed star times `width` plus guide star.
             code = groups.members[groups.start[g] + m]
             group.observed[m], group.guide[m] = code // width, code % width
         _fill(group, count, pairs[0], shapes)

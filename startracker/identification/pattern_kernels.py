@@ -111,6 +111,7 @@ def lookup_shape(
         at[k] = low[k]
     per_size = SIZE_STEPS / table.largest
     slack = focal_range + tolerance
+    # Sizes in the table are rounded to whole steps; one step of margin on each side allows for it.
     smallest, biggest = edges[5] * (1.0 - slack) * per_size - 1.0, edges[5] * (1.0 + slack) * per_size + 1.0
     slots = len(table.keys)
     count, looked = 0, 0
@@ -119,6 +120,7 @@ def lookup_shape(
         if at[0] <= at[1] <= at[2] <= at[3] <= at[4]:
             key = (((at[0] * BINS + at[1]) * BINS + at[2]) * BINS + at[3]) * BINS + at[4]
             slot = home_slot(key, slots)
+            # Open addressing with linear probing: patterns of the same key follow up to an empty slot.
             while table.keys[slot] != EMPTY:
                 looked += 1
                 if table.keys[slot] == key and smallest <= table.sizes[slot] <= biggest and count < len(found):
@@ -184,6 +186,7 @@ def correspondence(
         return 0.0
     order[:] = _PERMUTATIONS[best_order]
     largest, mirrored = 0.0, False
+    # The triangle of the three stars other than `left_out`.
     for left_out in range(4):
         a, b, c = (1 if left_out == 0 else 0), (2 if left_out <= 1 else 1), (3 if left_out <= 2 else 2)
         seen = triple_product(observed[a], observed[b], observed[c])
@@ -306,6 +309,7 @@ def search_patterns(
         next_set(stars)
         work -= _SET_COST
         sorted_edges(edge[a, b], edge[a, c], edge[a, d], edge[b, c], edge[b, d], edge[c, d], edges)
+        # An edge has the errors of two stars; the largest error of the four is assumed for all edges.
         error = math.sqrt(2.0) * plan.multiple * max(sigma[a], sigma[b], sigma[c], sigma[d])
         tolerance = SIGMAS * error * 1.2 / edges[5] + DRIFT
         if not (np.isfinite(edges).all() and tolerance < WIDEST and edges[0] > 2.0 * error):

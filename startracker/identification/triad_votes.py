@@ -128,6 +128,7 @@ class TriadMatch:
         members = self.triads.group == group
         seen, catalog = self.triads.stars[members], self.triads.catalog[members]
         close = combine_separation(arithmetic, self.scale_deg, limits.combine_px)
+        # Three image stars form one triad, which gives each one vote; that is enough if no other group contradicts it.
         unique = limits.three_stars and self.stars == 3 and len(self.triads.group_rotations) == 1
         needed = 1 if unique else limits.votes_needed(self.stars)
         votes = tuple(
@@ -239,6 +240,7 @@ def _chains(tables: TriadTables, index: IntArray, close: Any) -> list[IntArray]:
     i, j = image_pairs(len(index))
     near = tables.arithmetic.catalog_separations(tables.sky, index[i], index[j]) <= close
     for a, b in zip(i[near], j[near], strict=True):
+        # Two sets that are connected become one, as in single-linkage clustering.
         low, high = sorted((label[a], label[b]))
         label[label == high] = low
     several = np.flatnonzero(np.bincount(label, minlength=len(index)) > 1)

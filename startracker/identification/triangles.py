@@ -109,6 +109,7 @@ def first_triangles(vectors: FloatArray, diagonal_rad: float, count: int) -> Int
                 longest = max(side[i, j], side[j, k], side[i, k])
                 cost[at] = side[i, j] + side[j, k] + side[i, k] - longest
                 if longest < _LEAST_SIDE * diagonal_rad:
+                    # Larger than any sum of two sides, so that these triangles come last.
                     cost[at] += 2.0 * math.pi
                 triples[at, 0], triples[at, 1], triples[at, 2] = i, j, k
                 at += 1
@@ -172,6 +173,7 @@ def _joined(
     for p in range(low, high):
         a, b = pairs.first[p], pairs.second[p]
         step = v_mag[a] - v_mag[b]
+        # Each pair is written and counted only if it fits, which avoids unpredictable branches.
         at_i[count], at_j[count] = a, b
         count += (head[a] >= 0) & (not abs(fainter_by - step) > tolerance)
         at_i[count], at_j[count] = b, a
@@ -230,6 +232,7 @@ def _add_similar(
     count: int,
 ) -> tuple[Int32Array, FloatArray, int, float]:
     """Add the guide triangles that an observed triangle may be; returns the arrays, the new number, and operations."""
+    # Range of the true separations if the focal length differs from its nominal value by up to `focal_range`.
     shorter, longer = 1.0 / (1.0 + limits.focal_range), 1.0 / (1.0 - limits.focal_range)
     low_ik, high_ik = window(pairs.separation, (t.ik - t.error_ik) * shorter, (t.ik + t.error_ik) * longer)
     low_ij, high_ij = window(pairs.separation, (t.ij - t.error_ij) * shorter, (t.ij + t.error_ij) * longer)
@@ -252,6 +255,7 @@ def _add_similar(
             if not cos_low <= cosine <= cos_high or c == b:
                 continue
             v, u, w = sky.directions[a], sky.directions[b], sky.directions[c]
+            # The orientation must agree unless noise may have changed it.
             if seen * triple_product(v, u, w) <= 0.0 and abs(seen) > thin:
                 continue
             factor = _focal_of(t, v, u, w) if limits.focal_range > 0.0 else 0.0
@@ -264,6 +268,7 @@ def _add_similar(
             count += 1
         if work > limits.work:
             break
+    # Only the chains that may have been begun are cleared, at less cost than all of `head`.
     for p in range(low_ik, high_ik):
         head[pairs.first[p]] = -1
         head[pairs.second[p]] = -1
