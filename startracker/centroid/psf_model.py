@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zipfile
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -133,24 +133,6 @@ class PsfModel:
             )
 
 
-class _ProductPsf(PsfModel):
-    """An image that is a sum of products; the table is computed on first access, because most fits do not need it."""
-
-    def __init__(
-        self,
-        axes: FloatArray,
-        oversampling: int,
-        shape: tuple[float, float, float],
-        width_error: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
-        self.__dict__.update(axes=axes, oversampling=oversampling, shape=shape, width_error=width_error)
-
-    @cached_property
-    def table(self) -> FloatArray:
-        """See `PsfModel`."""
-        return np.asarray(self.axes[1::2].T @ self.axes[::2])
-
-
 def load_psf(path: str | Path) -> PsfModel:
     """Read a star image saved by `PsfModel.save`; it is cached until the file changes.
 
@@ -216,7 +198,7 @@ def gaussian_psf(
     terms = 1 if correlation < _UNROTATED else math.ceil(math.log(_NEGLIGIBLE) / math.log(correlation))
     if terms <= _MOST_TERMS:
         axes = gaussian_axes(xx, yy, xy, oversampling, middle, terms)
-        return _ProductPsf(axes, oversampling, (xx, yy, xy), width_error)
+        return PsfModel(axes[1::2].T @ axes[::2], oversampling, (xx, yy, xy), axes, width_error)
     # Values of the density on a grid, integrated over pixels by a quadrature whose nodes are the points of the grid.
     fine = np.arange(-middle - oversampling, middle + oversampling + 1) / oversampling
     down = fine[:, None]

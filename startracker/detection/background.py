@@ -54,10 +54,11 @@ class Background:
     def __init__(self, level: FloatImage | Plane, noise: FloatImage | Plane) -> None:
         self.level_plane = level if isinstance(level, Plane) else as_plane(level)
         self.noise_plane = noise if isinstance(noise, Plane) else as_plane(noise)
+        # A given array is the value of its cached property, which is then never computed.
         if not isinstance(level, Plane):
-            self.__dict__["level"] = level
+            self.level = level
         if not isinstance(noise, Plane):
-            self.__dict__["noise"] = noise
+            self.noise = noise
 
     @property
     def shape(self) -> tuple[int, int]:
