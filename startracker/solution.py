@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from startracker.catalog.guide import GuideDatabase
 
 _NAMED_STARS = 8
-"""Stars named in the chart of a notebook, the brightest."""
+"""Number of the brightest stars that are named in the chart of a notebook."""
 _LONGEST_REASON = 120
 
 
@@ -70,8 +70,8 @@ class MatchedStars:
         Whether the star was used in the attitude fit; stars with larger residuals than noise explains (blends, nearby
         defective pixels) are identified but not used. By default all.
     sigma_px : array, optional
-        Standard error of each centroid on one axis, pixels, as stated by the centroider and including that of the
-        catalogue; NaN if not known.
+        Standard error of each centroid on one axis, px, as stated by the centroider, including that of the catalogue;
+        NaN if unknown.
     """
 
     xy: FloatArray
@@ -345,7 +345,8 @@ class Solution:
         seen = attitude.inverse.apply(camera.unproject(_two_columns(xy, "pixels")))
         velocity = self._velocity_km_s(observer)
         if velocity is not None:
-            seen = aberrate(seen, -velocity)  # the Lorentz boost back
+            # Aberration is a Lorentz boost; the opposite velocity inverts it.
+            seen = aberrate(seen, -velocity)
         return np.degrees(np.stack(direction_to_radec(seen), axis=1))
 
     def pixel_of(self, ra_deg: Any, dec_deg: Any = None, observer: Observer | None = None) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What the flight build of a tracker does not have: keys that ``tracker.engine: flight`` excludes."""
+"""Rules of ``tracker.engine: flight``: methods, settings and cameras that the flight build does not support."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UNREAD: dict[str, tuple[Any, tuple[str, ...]]] = {
     ),
     "tracker.centroid": (CentroidSettings(), ("bias_correction", "psf_sigma_px", "psf")),
 }
-"""Settings without effect on it, with their defaults."""
+"""Settings that have no effect on the flight build: the section's defaults, and the names of these settings."""
 _UNREAD_BY_IDENTIFIERS = ("max_centroids", "max_operations")
 _WIDEST_DEG = 45.0
 LARGEST = {
@@ -42,6 +42,8 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     """Violated rules of a scenario whose frames are solved by the flight build."""
     if v["tracker.engine"] != "flight":
         return
+    # Every difference from what the flight build does is an error, so that a study never shows results of settings that
+    # have not been used.
     for key, known in _METHODS.items():
         if v[key] not in known:
             yield impossible(key, f"the flight build has no '{v[key]}'; use {known[0]}, {_OR}")
@@ -64,7 +66,7 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
 
 
 def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
-    """Cameras that the flight build does not hold."""
+    """Properties of a camera that the flight build does not support."""
     if v["detector.shutter"] == "rolling":
         yield impossible("detector.shutter", f"the flight build has no rolling shutter; use global, {_OR}")
     if v["detector.adc_bits"] is None:
@@ -80,6 +82,7 @@ def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
 
 def _half_field_deg(v: Mapping[str, Any], side: str, axis: int) -> float:
     """Angle between the optical axis and the farther border along an axis of the image, without distortion."""
+    # The border is half a detector away from its middle, plus the offset of the principal point.
     pitch = v["detector.pixel_pitch_um"]
     pitch_um = pitch[axis] if isinstance(pitch, tuple) else pitch
     away_px = 0.5 * v[f"detector.{side}"] + abs(v["optics.principal_point_offset_px"][axis])
