@@ -8,7 +8,7 @@ import slow_tests
 from hypothesis import settings
 from undrawn import undrawn
 
-from simulator.study.report import drawing
+from simulator.study.pages import drawing
 
 # The same examples every time, so that a green run stays green; make test-all looks for new ones. Without a time limit
 # of each: a loaded machine would exceed any.

@@ -204,7 +204,7 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
             x, y = x - columns[n, 0, k] * amplitude, y - columns[n, 1, k] * amplitude
         variance = pose.sigma_px[n] ** 2
         share = pose.systematic_px2 / variance
-        # a single outlier must not determine the shape
+        # A single outlier must not determine the shape.
         square = max(x * x + y * y, 1e-300) / variance
         share_of_one = share * min(1.0, _FARTHEST_SQUARE / square) / variance
         a, b = a + share_of_one * 0.5 * (x * x - y * y), b + share_of_one * x * y
@@ -288,7 +288,7 @@ def _fit_each_model(
     mean, every = np.zeros((grid, 3, widest)), np.zeros((grid, 3, widest, widest))
     plain, normal, right = np.zeros((grid, 3, 3)), np.empty((widest, widest)), np.empty(widest)
     added, flat = np.empty((widest, widest)), np.empty((2, 2))
-    # the same for all models, but not for fits of fewer stars
+    # This constant is the same for all models, but not for fits of fewer stars.
     constant = 0.0
     if trusted > 0.0:
         constant = math.lgamma(0.5 * (trusted + freedom)) - math.lgamma(0.5 * trusted)
