@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from all_detectors import GENERAL
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import erf
@@ -20,7 +21,7 @@ from simulator.scenario import Scenario
 from simulator.study.star_tracker import build_tracker
 from simulator.study.trials.trial import solve_frame
 from startracker.centroid.result import Centroids
-from startracker.detection import METHODS, Background, estimate
+from startracker.detection import Background, estimate
 from startracker.geometry.camera import Camera
 from startracker.settings import DetectionSettings
 from startracker.trails import Trails, find_trails, mid_exposure
@@ -296,7 +297,7 @@ def test_rendered_frames_are_solved(rate_deg_s: float, length: float) -> None:
         assert math.hypot(x, y) < 3.0 * frame.camera.pixel_rad
 
 
-@pytest.mark.parametrize("detector", METHODS)
+@pytest.mark.parametrize("detector", GENERAL)
 def test_short_streaks_are_stars_whatever_the_detector(detector: str) -> None:
     """Trails of 8 px, which no detector but the first looks for itself: half a pixel, lost in space."""
     overrides = ["study.sampling=sky", "tracker.prior=false", f"tracker.detector={detector}"]

@@ -31,10 +31,10 @@ from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.trackers import Session, session_of, tracker_of
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from simulator.study.trials.trial import attitude_errors_deg, in_field, misidentified, normalised_error_squared
+from startracker._compiled import clock
 from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude
-from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 from startracker.tracking import GyroNoise, RateNoise

@@ -22,10 +22,10 @@ from simulator.study.sequence.head_camera import BodyState, HeadCamera, scenario
 from simulator.study.sequence.true_motion import jitter_at, start_pointing, states_at
 from simulator.study.specification.outcome import UNKNOWN, outcome_of
 from simulator.study.specification.requirements import specification_of
+from startracker._compiled import clock
 from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.fusion import AlignedMekf, FusionFilter
 from startracker.geometry.attitude import Attitude
-from startracker.kernels import clock
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
 

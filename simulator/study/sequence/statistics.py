@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -179,3 +180,18 @@ def _summary(columns: Columns, prefix: str, step_s: float) -> dict[str, Any]:
             for axis in "xyz"
         }
     return summary
+
+
+def consistency_text(nees: Mapping[str, Any]) -> str:
+    """Whether the stated covariance is consistent with the errors, from ``nees`` of ``sequence.json``; empty without a
+    solved frame."""
+    if nees["mean"] is None:
+        return ""
+    low, high = nees["bounds95"]
+    finding = "is consistent with the errors"
+    if not nees["within"]:
+        finding = "is too small" if nees["mean"] > 3 else "is too large"
+    return (
+        f"NEES {nees['mean']:.2f} (expected 3; 95 % band for a consistent covariance {low:.2f} to {high:.2f}): "
+        f"the stated covariance {finding}."
+    )
