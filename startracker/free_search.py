@@ -238,14 +238,7 @@ class FreeSearch:
                 return Solution(Status.NO_MATCH, reason, centroids=xy)
         used, chosen = fit.pairs[:, 0], fit.pairs[:, 1]
         residual = xy[used] - fit.camera.project(sky.directions[chosen] @ fit.matrix.T)
-        stars = MatchedStars(
-            xy[used],
-            sky.catalog.id[chosen],
-            sky.catalog.star_name[chosen],
-            sky.v_mag[chosen],
-            np.full(len(used), np.nan) if self.flux is None else self.flux[used],
-            residual,
-        )
+        stars = MatchedStars.of(sky, chosen, xy[used], residual, flux=None if self.flux is None else self.flux[used])
         reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
         refusal = self._refusal(Fitted(fit.pairs, residual, fit.matrix, fit.camera), guide, sky)
         if refusal:

@@ -107,7 +107,7 @@ class StarTracker:
         self.detection = settings_or_default("detection", detection, DetectionSettings)
         self.centroid = settings_or_default("centroid", centroid, CentroidSettings)
         self.identification = settings_of(identifier, identification)
-        self._detect = lookup("detectors", detecting.DETECTORS, detector)
+        self._detect = lookup("detectors", detecting.METHODS, detector)
         self._measure = lookup("centroiders", centroiding.METHODS, centroider)
         self._identify = lookup("identifiers", identifying.METHODS, identifier)
         self._estimate = lookup("estimators", estimating.METHODS, estimator)

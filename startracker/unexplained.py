@@ -31,12 +31,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog.guide import GuideDatabase, field_cosine
 from startracker.catalog.sky_view import stars_on_image
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.background import Light
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import order_of_columns
 
 LARGEST_CONTRAST = 6.0

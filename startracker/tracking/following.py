@@ -105,15 +105,8 @@ class Followed:
         """
         camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
         chosen = self.expected.index[self.partner]
-        matched = MatchedStars(
-            xy=seen.xy[stars],
-            catalog_id=guide.catalog.id[chosen],
-            name=guide.catalog.star_name[chosen],
-            v_mag=guide.v_mag[chosen],
-            flux=seen.flux[stars],
-            residual_px=self.residual_px,
-            used=np.ones(len(stars), np.bool_),
-            sigma_px=seen.sigma_px[stars],
+        matched = MatchedStars.of(
+            guide, chosen, seen.xy[stars], self.residual_px, flux=seen.flux[stars], sigma_px=seen.sigma_px[stars]
         )
         return Solution(
             status=Status.SOLVED,
