@@ -9,7 +9,8 @@ scale or the roll hang on a knot of stars, or the image is not one field. The ev
 
 Of an image more is known than its list of stars: where it stands out from its background a guide star is there, even if
 the detector rejected it with what it lies on, as a ridge of an aurora. Few matched stars are then enough if most bright
-guide stars are there (`startracker.detection.background`), unless those that are not are those of one part of the image.
+guide stars are there (`startracker.detection.background`), unless those that are not are those of one part of the
+image.
 
 The matched fraction is at least 0.5 on one of both sides in real fields, and below 0.4 on both it is refused.
 Moreover, on one side of a line across the image, or outside a circle about the matched stars, fewer are matched than
