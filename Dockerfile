@@ -16,9 +16,7 @@ RUN pip install --no-cache-dir /wheels/*.whl && rm -r /wheels
 # for each container. Any user may write there.
 ENV NUMBA_CACHE_DIR=/var/cache/boresight XDG_CACHE_HOME=/var/cache/boresight MPLCONFIGDIR=/var/cache/boresight
 RUN mkdir -m 1777 /var/cache/boresight \
- && boresight run tc211 --trials 2 --workers 1 --out /tmp/warm >/dev/null \
- && boresight solve sample >/dev/null \
- && rm -r /tmp/warm \
+ && boresight warm-up \
  && chmod -R a+rwX /var/cache/boresight
 WORKDIR /work
 USER 1000

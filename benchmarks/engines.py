@@ -26,8 +26,8 @@ from simulator.checks import load_scenario
 from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trackers import tracker_of
 from simulator.study.trials.trial import TrialRunner, solve_frame
+from startracker._compiled import clock
 from startracker.core import ARCSEC_PER_DEG, BoolArray, FloatArray
-from startracker.kernels import clock
 
 BEGIN, END = "<!-- engines: python -m benchmarks.engines --document docs/flight.md -->", "<!-- end of engines -->"
 _METHODS = (

@@ -1,14 +1,19 @@
 """A physically based simulator of a star camera in orbit, and a Monte Carlo harness that measures its accuracy.
 
-from simulator import Scenario, render, run
-scenario = Scenario.load("scenarios/cubesat.yaml")
-frame, truth = render(scenario, index=0)
-study = run(scenario, trials=1000, seed=1)
+Example::
+
+    from simulator import Scenario, render, run
+
+    scenario = Scenario.load("scenarios/cubesat.yaml")
+    frame, truth = render(scenario, index=0)
+    study = run(scenario, trials=1000, seed=1)
 """
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # type checkers take the name as true; the import of typing takes longer than the rest
+# Type checkers treat this name as true whatever its value. Importing it from typing would take longer than the rest of
+# this module.
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
@@ -37,7 +42,7 @@ def __getattr__(name: str) -> Any:
     from importlib import import_module
 
     value = getattr(import_module(_HOMES[name]), name)
-    globals()[name] = value
+    globals()[name] = value  # the next access finds the name and does not call this function again
     return value
 
 

@@ -1,7 +1,8 @@
-"""From a scenario to physics: the one module that knows both the scenario's keys and the objects of the physics.
+"""Build the objects of the physics from a scenario: the only module that knows both the scenario's keys and those
+objects.
 
-Physics takes plain frozen parameters, of which a scenario's sections are made; here names become objects and files are
-read.
+The physics modules take plain frozen dataclasses, which also serve as sections of a scenario. This module looks up
+names in registries, reads files, and converts units (mm, µm and µs of the scenario to pixels, cm and s).
 """
 
 from __future__ import annotations
@@ -44,13 +45,15 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 
 _LARGEST_IMAGE_PX = 512
-"""Lines above and below the detector, in the images of whose stars a rolling shutter has rows."""
+"""Largest extent of a star image beyond the detector, in lines. A rolling shutter exposes rows of such an image before
+its first and after its last row, so the time of a scene must cover them as well."""
 
 
 def build_camera(scenario: Scenario) -> Camera:
     """The calibrated camera of a scenario's optics and detector."""
     optics, detector = scenario.optics, scenario.detector
     pitch_x, pitch_y = detector.pitch_um
+    # Pixel centres have integer coordinates, so the middle of an image of `width` columns is (width - 1) / 2.
     return Camera(
         fx=optics.focal_length_mm * 1e3 / pitch_x,
         fy=optics.focal_length_mm * 1e3 / pitch_y,
@@ -65,7 +68,14 @@ def build_camera(scenario: Scenario) -> Camera:
 
 
 def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> FocalPlane:
-    """Lens, response and point spread functions of a scenario; `camera_seed` replaces its seed for the camera's own.
+    """Lens, response and point spread functions of a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    camera_seed : int, optional
+        Seed of the properties of this camera (its calibration residual), instead of the scenario's seed.
 
     Raises
     ------
@@ -79,6 +89,7 @@ def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> Foc
     )
     if scenario.environment.has_damage:
         response = Curve(response.wavelength_nm, build_damage(scenario).transmission * response.value)
+    # The central obstruction is a fraction of the diameter, so it blocks the square of this fraction of the area.
     area_cm2 = math.pi / 4 * (optics.aperture_mm / 10.0) ** 2 * (1.0 - optics.obscuration**2)
     photometer = Photometer(response, area_cm2, scenario.sky.spectrum)
     lens = Lens(
@@ -89,18 +100,19 @@ def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> Foc
         detector.intra_pixel.contrast,
     )
     temperature = lens_temperature(scenario)
-    seen_by = temperature.camera_at(camera, 0.0)
+    # The tracker is given the calibrated camera; the sky is rendered through the lens as it is at the epoch.
+    true_camera = temperature.camera_at(camera, 0.0)
     return FocalPlane(
         camera=camera,
-        true_camera=seen_by,
+        true_camera=true_camera,
         temperature=temperature,
-        displacement=_displacement(scenario, seen_by, photometer, camera_seed),
+        displacement=_displacement(scenario, true_camera, photometer, camera_seed),
         photometer=photometer,
         psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
         sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
         faint_sky=_faint_sky(scenario),
         aperture_mm=optics.aperture_mm,
-        pixel_area_cm2=detector.pitch_um[0] * detector.pitch_um[1] * 1e-8,
+        pixel_area_cm2=detector.pitch_um[0] * detector.pitch_um[1] * 1e-8,  # µm² to cm²
         vignetting=optics.vignetting,
         ghosts=optics.ghosts,
         baffle=build_baffle(
@@ -115,7 +127,7 @@ def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> Foc
 
 
 def _faint_sky(scenario: Scenario) -> FaintSky | None:
-    """Stars beyond the catalogue; None if there are none."""
+    """Synthetic stars fainter than the catalogue's limit; None if the scenario has none."""
     sky = scenario.sky
     if sky.faint_magnitude_limit is None or sky.faint_magnitude_limit <= sky.magnitude_limit:
         return None
@@ -135,7 +147,7 @@ def lens_temperature(scenario: Scenario) -> LensTemperature:
 
 
 def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer, camera_seed: int | None) -> Displacement:
-    """Displacement of star images against a camera's own."""
+    """Displacement of star images from the positions that the camera model predicts."""
     optics, seed = scenario.optics, scenario.seed if camera_seed is None else camera_seed
     residual = draw_residual(camera, optics.calibration_residual, stream(seed, "calibration residual"))
     reference_nm = float(photometer.effective_wavelength_nm(optics.lateral_colour.reference_b_v))
@@ -144,19 +156,20 @@ def _displacement(scenario: Scenario, camera: Camera, photometer: Photometer, ca
 
 
 def _without_earth(scenario: Scenario) -> bool:
-    """Whether attitudes are random over the whole sky, and the study leaves the Earth out of it."""
+    """Whether attitudes are random over the whole sky and ``study.sky_without_earth`` removes the Earth from it."""
     study = scenario.study
     return study.sampling == "sky" and study.sky_without_earth and scenario.pointing.target is None
 
 
 def build_scenes(scenario: Scenario, trajectory: Trajectory | None = None) -> SceneBuilder:
-    """Orbit, pointing and sky of a scenario; `trajectory` replaces its orbit.
+    """Orbit, pointing and sky of a scenario; a `trajectory` replaces the scenario's orbit.
 
     Raises
     ------
     InputError
         For a target that is not in its sky, or names or files that cannot be used.
     """
+    # Rows of a rolling shutter, and of star images beyond the detector, are exposed one after the other.
     orbit, detector = trajectory or build_orbit(scenario), scenario.detector
     margin_lines = detector.height + 2 * _LARGEST_IMAGE_PX if detector.shutter == "rolling" else 0
     parameters = SceneParameters(
@@ -184,31 +197,36 @@ def build_mounting(scenario: Scenario) -> Attitude:
 
 
 def build_detector(scenario: Scenario, camera_seed: int | None = None) -> Detector:
-    """Detector of a scenario, aged by its environment, with its fixed pattern, which enters frames in single
-    precision; `camera_seed` replaces the scenario's for that pattern."""
+    """Detector of a scenario, aged by its environment, with its fixed pattern.
+
+    The pattern is drawn from `camera_seed`, or from the scenario's seed, and stored in single precision.
+    """
     parameters, seed = aged_detector(scenario), scenario.seed if camera_seed is None else camera_seed
     return Detector(parameters, build_fixed_pattern(parameters, seed).single())
 
 
 def detector_parameters(section: DetectorSection) -> DetectorParameters:
-    """A detector without its exposure."""
+    """Parameters of the detector's section, without those of the exposure (time, shutter)."""
+    # The pitch is excluded because the section defines it as a property, from one number or two.
     names = {field.name for field in fields(DetectorParameters)} - {"pitch_um"}
     return DetectorParameters(**{name: getattr(section, name) for name in names}, pitch_um=section.pitch_um)
 
 
 def aged_detector(scenario: Scenario) -> DetectorParameters:
-    """The detector of a scenario with the damage of its environment added, and particles of a positive rate if the
-    environment provides those of each frame."""
+    """The detector of a scenario with the radiation damage of its environment added."""
     parameters = detector_parameters(scenario.detector)
     if scenario.environment.has_damage:
         parameters = _with_damage(parameters, build_damage(scenario))
     if scenario.environment.has_particles:
+        # The environment gives the particles of every frame. The rate set here has no effect on their number: a rate
+        # above 0 only enables the cosmic-ray stage.
         parameters = replace(parameters, cosmic_rays=replace(parameters.cosmic_rays, rate_cm2_s=1.0))
     return parameters
 
 
 def _with_damage(new: DetectorParameters, aged: Damage) -> DetectorParameters:
-    """Sum of the damage and of what the scenario's detector already has."""
+    """The detector's own defects plus the damage of its environment."""
+    # Both populations of displacement defects are merged into one with the same total dark current.
     interactions = new.displacement.interactions_per_pixel + aged.displacement.interactions_per_pixel
     dark_e_s = new.displacement.mean_e_s + aged.displacement.mean_e_s
     return replace(
@@ -222,7 +240,7 @@ def _with_damage(new: DetectorParameters, aged: Damage) -> DetectorParameters:
 
 
 def build_damage(scenario: Scenario, environment: Environment | None = None) -> Damage:
-    """Damage of the camera by its environment, or by another one.
+    """Damage of the camera by the scenario's environment, or by `environment` if it is given.
 
     Raises
     ------
@@ -232,6 +250,7 @@ def build_damage(scenario: Scenario, environment: Environment | None = None) -> 
     environment, section = environment or scenario.environment, scenario.detector
     radiation = orbit_radiation_of(scenario, environment)
     pixel = Pixel(section.pitch_um[0] * section.pitch_um[1], section.dark_reference_c, section.kind != "cmos")
+    # The detector is behind the camera's shield, the lens behind its own (the glass shield).
     inner, outer = (
         dose(radiation, environment, shield_mm, environment.age_years)
         for shield_mm in (environment.shield_mm, environment.glass_shield_mm)
@@ -240,17 +259,17 @@ def build_damage(scenario: Scenario, environment: Environment | None = None) -> 
 
 
 def orbit_radiation_of(scenario: Scenario, environment: Environment) -> OrbitRadiation:
-    """Mean radiation along the orbit of a scenario, outside the spacecraft, in an environment."""
+    """Mean radiation outside the spacecraft along the orbit of a scenario."""
     return _orbit_radiation(scenario.orbit, scenario.epoch, scenario.base_dir, environment.sources)
 
 
-@functools.lru_cache(maxsize=8)  # a second and a half; detector and lens ask for the same
+@functools.lru_cache(maxsize=8)  # takes 1.5 s, and the detector and the lens need the same orbit
 def _orbit_radiation(orbit: OrbitParameters, epoch: datetime, folder: Path, sources: Environment) -> OrbitRadiation:
     return orbit_radiation(build_trajectory(orbit, epoch, folder), sources)
 
 
 def build_transients(scenario: Scenario) -> Transients | None:
-    """Particles at the positions of frames; None if the environment provides none.
+    """Particle rates at the positions of frames; None if the environment has no particles.
 
     Raises
     ------
@@ -266,6 +285,7 @@ def shutter_of(section: DetectorSection) -> Shutter:
     return Shutter(
         kind=section.shutter,
         line_time_s=section.line_time_us * 1e-6,
+        # Row 0 is the top of the image, and charge is transferred towards the readout corner.
         transfer_direction="up" if section.readout_corner.startswith("top") else "down",
         transfer_smear=section.transfer_smear,
     )

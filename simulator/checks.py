@@ -46,7 +46,7 @@ def load_scenario(
 
 
 def as_scenario(given: Any) -> Scenario:
-    """Argument as a scenario: a `Scenario`, or the name of an included one or of a file, as the commands take it.
+    """Convert an argument to a `Scenario`: it may be one already, the name of an included one, or a file.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def _registered(kind: str, module: str, registry: str) -> NameCheck:
     """Check of a name against a registry and the entry points of its kind; the module is imported on first use."""
 
     def check(name: Any, _: Mapping[str, Any]) -> str | None:
-        if not isinstance(name, str):  # a mounting may be a quaternion
+        if not isinstance(name, str):  # a mounting may be a quaternion, which needs no check here
             return None
         try:
             lookup(kind, getattr(import_module(module), registry), name)
@@ -94,6 +94,7 @@ def _target(name: Any, keys: Mapping[str, Any]) -> str | None:
     from startracker.catalog import load_catalog
 
     try:
+        # Keys whose values are invalid are missing; their errors are reported by other checks.
         sky = load_catalog(keys.get("sky.catalog", "hipparcos"))
         found = find_target(name, sky.brighter_than(keys.get("sky.magnitude_limit", math.inf)))
     except InputError as error:
@@ -104,11 +105,13 @@ def _target(name: Any, keys: Mapping[str, Any]) -> str | None:
 
 
 def _orbit_file(key: str, section: str = "orbit") -> NameCheck:
-    """Check of a file of an orbit's section, together with the keys that say how it is used."""
+    """Check of a file of an orbit section, together with the keys that define how it is read."""
 
     def check(name: Any, keys: Mapping[str, Any]) -> str | None:
         from simulator.mission.trajectories import build_trajectory
 
+        # If several files are given, the rules of the orbit section report it; a check of each would add errors that
+        # have the same cause.
         others = {k: keys.get(f"{section}.{k}") for k in FILES}
         if not isinstance(name, str) or "epoch" not in keys or any(others[k] for k in FILES if k != key):
             return None
@@ -124,7 +127,7 @@ def _orbit_file(key: str, section: str = "orbit") -> NameCheck:
 
 
 def _satellite_file(name: Any, keys: Mapping[str, Any]) -> str | None:
-    """Check of ``sky.satellites.file``, with the objects that have a size of their own."""
+    """Check of ``sky.satellites.file``, together with the objects to which the scenario assigns a size."""
     from simulator.mission.clock import Clock
     from simulator.sky.parameters import SatelliteParameters
     from simulator.sky.satellites import load_satellites
@@ -140,7 +143,7 @@ def _satellite_file(name: Any, keys: Mapping[str, Any]) -> str | None:
 
 
 def _attitude_file(key: str) -> NameCheck:
-    """Check of a file of ``pointing.attitude``, together with the keys that say how it is used."""
+    """Check of a file of ``pointing.attitude``, together with the keys that define how it is read."""
 
     def check(name: Any, keys: Mapping[str, Any]) -> str | None:
         from simulator.mission.attitudes import attitude_from_file
@@ -152,6 +155,7 @@ def _attitude_file(key: str) -> NameCheck:
         if name is None or "epoch" not in keys or len(section.sources) > 1:
             return None
         try:
+            # The mounting is not known here. An identity is enough to find out whether the file can be read.
             attitude_from_file(section, Clock(keys["epoch"]), np.array([0.0, 0.0, 0.0, 1.0]), Path())
         except InputError as error:
             return str(error)
@@ -191,7 +195,7 @@ NAME_CHECKS: NameChecks = {
     "optics.psf.model": _registered("psfs", "simulator.optics.psf", "PSFS"),
     "detector.quantum_efficiency": _curve("quantum_efficiency"),
     "tracker.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
-    "tracker.detector": _registered("detectors", "startracker.detection", "DETECTORS"),
+    "tracker.detector": _registered("detectors", "startracker.detection", "METHODS"),
     "tracker.centroider": _registered("centroiders", "startracker.centroid", "METHODS"),
     "tracker.identifier": _registered("identifiers", "startracker.identification", "METHODS"),
     "tracker.estimator": _registered("estimators", "startracker.estimation", "METHODS"),

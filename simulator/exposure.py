@@ -1,8 +1,8 @@
 """The exposure: integration of electron rates over the time for which the shutter is open.
 
-What reaches the focal plane are rates, electrons per second. They become electrons here alone: still light by
-the duration, a moving source by the time for which it is exposed at each position of its path, and charge that is moved
-under light by the time it stands in each row.
+Light arrives at the focal plane as rates in electrons per second, and only this module converts them to electrons. The
+rate of static light is multiplied by the exposure time, that of a moving source by the time spent at each position of
+its path, and in a frame transfer by the time for which the charge stays in each row.
 """
 
 from __future__ import annotations
@@ -35,14 +35,16 @@ class Shutter:
 
 
 class Motion(NamedTuple):
-    """Rotation of the camera during an exposure: inertial rate (3,) in camera axes, and jitter about mid-exposure."""
+    """Rotation of the camera during an exposure."""
 
     rate_rad_s: FloatArray
+    """(3,): Inertial angular velocity in camera axes."""
     jitter: JitterMotion | None = None
+    """Rotation relative to the mean attitude, as a function of the time from mid-exposure; None for none."""
 
 
 class Paths(NamedTuple):
-    """Positions of sources on the image during an exposure."""
+    """Positions of N sources on the image at K moments of an exposure."""
 
     xy: FloatArray
     """(N, K, 2): Pixels at K moments; NaN where a path is not computed."""
@@ -104,6 +106,8 @@ class Exposure:
         drift : Drift, optional
             Motion of the sources themselves, in camera axes.
         """
+        # `Paths` of a global shutter have the same moments for all sources. With a rolling shutter each source is
+        # exposed at the time of its own rows, so its share of the electrons depends on how fast it crosses them.
         sampling = (feature_px, margin_px, motion.jitter)
         if self.shutter.kind != "rolling":
             if drift is not None:

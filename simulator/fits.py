@@ -81,7 +81,7 @@ def fits_bytes(
         header[f"HIERARCH {name}"] = value
     units: list[Any] = [primary]
     if truth is not None:
-        # a scenario may omit aberration
+        # If the scenario omits aberration, the rendered directions are astrometric already.
         velocity = frame.observer.velocity_km_s if frame.parameters.get("sky.aberration", True) else None
         header.update(wcs_header(frame.camera, truth.attitude, velocity, wcs))
         if velocity is not None:
@@ -122,7 +122,9 @@ def _cards(frame: Frame) -> list[tuple[str, Any, str]]:
         ("JEPOCH", observer.epoch_jyear, "Julian epoch of mid-exposure, TT"),
     ]
     cards += [(f"CAM_{k.upper()}", getattr(camera.distortion, k), "Brown-Conrady, OpenCV") for k in _DISTORTION_KEYS]
-    if "detector.pixel_pitch_um" in frame.parameters:  # a frame that was read from a file has no parameters
+    # The camera has focal lengths in pixels. The pitch, with which they follow in millimetres, is known for a rendered
+    # frame, but not for one that was read from a file.
+    if "detector.pixel_pitch_um" in frame.parameters:
         width_um = float(str(frame.parameters["detector.pixel_pitch_um"]).split()[0])
         cards += [
             ("FOCALLEN", camera.fx * width_um / 1000.0, "[mm] focal length"),
@@ -150,7 +152,8 @@ def _dates(utc: str, exposure_s: float) -> list[tuple[str, Any, str]]:
     date, _, clock = utc.partition("T")
     year, month, day = (int(part) for part in date.split("-"))
     hour, minute, second = clock.split(":")
-    # the ufuncs, because their wrappers warn of dates after the table of leap seconds
+    # The ufuncs are called directly because ERFA's wrappers warn of dates after the table of leap seconds. The offsets
+    # are added in TAI, so that an exposure across a leap second has the right length.
     utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", year, month, day, int(hour), int(minute), float(second))
     tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
     cards: list[tuple[str, Any, str]] = []
@@ -174,8 +177,9 @@ def _truth_table(truth: FrameTruth, velocity_km_s: NDArray[np.float64] | None) -
     from astropy.table import Table
 
     s = truth.sources
-    still = s.direction if velocity_km_s is None else aberrate(s.direction, -velocity_km_s)
-    ra, dec = direction_to_radec(still)
+    # Aberration is a Lorentz transformation, whose exact inverse is that with the opposite velocity.
+    astrometric = s.direction if velocity_km_s is None else aberrate(s.direction, -velocity_km_s)
+    ra, dec = direction_to_radec(astrometric)
     table = Table(
         {
             "id": s.id,
@@ -250,6 +254,7 @@ def read_fits(path: str | Path) -> Frame:
         )
         field_of(camera)  # rejects a distortion that cannot be inverted
         return Frame(
+            # FITS stores big-endian numbers; the kernels need those of the machine.
             image=np.asarray(image).astype(image.dtype.newbyteorder("="))[:: 1 if top_down else -1],
             camera=camera,
             observer=Observer(cards.number("JEPOCH", *_EPOCHS), velocity, position),
@@ -267,6 +272,7 @@ def read_fits(path: str | Path) -> Frame:
         )
     except InputError as error:
         text = str(error)
+        # The errors of `_Cards` name the file already, those of `Camera` and `Attitude` do not.
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from error
 
 
@@ -288,6 +294,7 @@ def _primary(path: Path) -> tuple[dict[str, Any], Any]:
 
     data = read_bytes(path, IMAGE_BYTES, "give a FITS file")
     try:
+        # astropy reports a wrong checksum as a warning, which is recorded here and becomes an error below.
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             with fits.open(io.BytesIO(data), memmap=False, checksum=True) as units:

@@ -1,6 +1,6 @@
 """The focal plane: mean photo-electrons per pixel of a scene, with lens, point-spread function and smear.
 
-Sources and background arrive as rates, electrons per second; `simulator.exposure` makes electrons of them.
+Sources and background are rates in electrons per second until `simulator.exposure` integrates them over the exposure.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 
 _EDGE_MARGIN_PX = 160.0
-"""Stars up to this far outside the detector are rendered if their wings overlap it; those of 10⁶ electrons do."""
+"""Maximum distance outside the detector at which stars are rendered if their wings overlap it; the wings of 10⁶
+electrons reach as far."""
 
 _DISK_PX = 1.5
 """Bodies with a larger radius are rendered as disks, smaller ones as points with the PSF."""
@@ -67,13 +68,16 @@ class Illumination(NamedTuple):
 
 
 class Reaching(NamedTuple):
-    """Sources whose light reaches the detector: their rows, directions in the camera (N, 3), pixels (N, 2), and
-    electrons (N,) if static."""
+    """Sources whose light reaches the detector."""
 
     rows: IntArray
+    """(N,): Rows in the table of sources."""
     in_camera: FloatArray
+    """(N, 3): Unit vectors in camera axes at mid-exposure."""
     xy: FloatArray
+    """(N, 2): Pixels at mid-exposure."""
     electrons: FloatArray
+    """(N,): Electrons over the exposure for a static source."""
 
     def joined(self, other: Reaching) -> Reaching:
         """These sources followed by others."""
@@ -87,7 +91,7 @@ class FocalPlane:
     camera: Camera
     """The calibrated camera, as in the frame."""
     true_camera: Camera
-    """The true camera, with which the sky is rendered; `at` has that of another time."""
+    """The true camera at the epoch, with which the sky is rendered; `at` returns that of another time."""
     temperature: LensTemperature
     """Temperature of the lens over time."""
     displacement: Displacement
@@ -99,19 +103,24 @@ class FocalPlane:
     sky: Sky
     """Parameters of the sky."""
     faint_sky: FaintSky | None
-    """Stars beyond the catalogue."""
+    """Synthetic stars fainter than the catalogue's limit; None for none."""
     aperture_mm: float
+    """Diameter of the entrance pupil."""
     pixel_area_cm2: float
-    """Diameter of the lens and area of a pixel."""
+    """Area of a pixel."""
     vignetting: Vignetting
+    """Fall of the illumination with the angle from the optical axis."""
     ghosts: tuple[Ghost, ...]
+    """Ghost images by reflections within the lens."""
     baffle: Baffle | None
+    """Baffle before the lens; None for none."""
     tether: Tether
-    """Of the lens, and before it."""
+    """Tether of the spacecraft; its diameter is 0 if there is none."""
     _half_fields: dict[float, float] = field(default_factory=dict, repr=False)
 
     def at(self, t_s: float) -> FocalPlane:
-        """The focal plane at the temperature of a time, seconds after the epoch; itself if that is constant."""
+        """The focal plane at the lens temperature of a time, s after the epoch; itself if the temperature is
+        constant."""
         if self.temperature.swing_k == 0.0:
             return self
         camera = self.temperature.camera_at(self.camera, t_s)
@@ -121,6 +130,8 @@ class FocalPlane:
         """Maximum angle from the boresight, at any moment of the exposure, of sources whose light can reach the
         detector."""
         if exposure_s not in self._half_fields:
+            # The radius of the PSF that is rendered grows with the brightness of a source, and none is brighter than
+            # the Sun. The field is the cone around the detector enlarged by this radius on every side.
             camera = self.true_camera
             brightest_e = self.photometer.electrons_per_s(sun_v(1.0), SOLAR_B_V) * exposure_s
             wing_px = min(float(self.psfs.radius_px(brightest_e)), _EDGE_MARGIN_PX)
@@ -139,6 +150,8 @@ class FocalPlane:
 
     def expose(self, scene: Scene, exposure: Exposure) -> Illumination:
         """Mean photo-electrons of a scene in every pixel."""
+        # The order is that of the physics: light of sources and background, ghosts of the lens, which need the
+        # electrons of the sources, then the smear of the transfer, which needs the complete image.
         light, seen = self._sources(scene, exposure)
         rate_e_s, excluded = self.background_rate_e_s(scene)
         mean_e = exposure.electrons(rate_e_s)
@@ -161,12 +174,13 @@ class FocalPlane:
 
     # ------------------------------------------------------------------ sources
     def _sources(self, scene: Scene, exposure: Exposure) -> tuple[Light, Reaching]:
-        """Every source whose light reaches the detector, at mid-exposure."""
+        """Stars and bodies whose light reaches the detector, and their positions at mid-exposure."""
         camera, photometer, sky, bodies = self.true_camera, self.photometer, self.sky, scene.bodies
         rate_e_s = star_rates_e_s(scene, photometer, sky)
         seen = self._reaching(scene, scene.star_directions, rate_e_s, exposure, 0.0)
         coloured = self.psfs.coloured or self.displacement.coloured
         stars = star_light(scene, seen.rows, rate_e_s[seen.rows], photometer, coloured)
+        # The few bodies in the field are selected first: their light needs phases and the Earth's limb.
         cosine = bodies.direction @ scene.pointing.camera.boresight
         off_axis = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
         reach = self.half_field_rad(exposure.duration_s) + scene.streak_rad + bodies.angular_radius_rad
@@ -188,7 +202,7 @@ class FocalPlane:
         exposure: Exposure,
         radius_rad: float | FloatArray,
     ) -> Reaching:
-        """Sources with light whose image, including disk and streak, overlaps the detector."""
+        """Sources of more than 0 electrons whose image, including disk and streak, overlaps the detector."""
         camera = self.true_camera
         in_camera = scene.pointing.camera.apply(direction)
         electrons = exposure.electrons(self._vignetted(rate_e_s, in_camera))
@@ -200,13 +214,15 @@ class FocalPlane:
         return Reaching(rows, in_camera[rows], xy[rows], electrons[rows])
 
     def _vignetted(self, rate_e_s: FloatArray, in_camera: FloatArray) -> FloatArray:
-        """Rates (N,) of sources along unit vectors (N, 3) with vignetting."""
+        """Rates (N,) of sources along unit vectors (N, 3) in camera axes, reduced by vignetting."""
         if self.vignetting.is_off:
             return rate_e_s
         return rate_e_s * star_illumination(self.true_camera, self.vignetting, in_camera)
 
     def _draw(self, mean_e: FloatArray, light: Light, positions: FloatArray, paths: Paths) -> None:
         """Stars and small bodies through their PSFs, large bodies as disks."""
+        # A point is rendered at all moments of its path in one call; a disk is rendered at each moment, which only the
+        # few large bodies can afford.
         camera, (xy, weights, electrons) = self.true_camera, paths
         disk = light.radius_rad / camera.pixel_rad > _DISK_PX
         self._draw_points(mean_e, (~disk).nonzero()[0], light.wavelength_nm, positions, paths)
@@ -226,16 +242,19 @@ class FocalPlane:
     def _draw_points(
         self, mean_e: FloatArray, points: IntArray, wavelength_nm: FloatArray, positions: FloatArray, paths: Paths
     ) -> None:
-        """A selection of sources through their PSFs."""
+        """Render a selection of sources with their PSFs."""
+        # The PSF depends on wavelength and position. Each source is a blend of neighbouring tabulated PSFs with shares
+        # that add up to 1, so the stars of one PSF are rendered in one call of the kernel.
         for members, share, psf in self.psfs.blends(wavelength_nm[points], positions[points]):
             chosen = points[members]
             xy = np.ascontiguousarray(paths.xy[chosen])
             add_stars(mean_e, xy, paths.weights, paths.electrons[chosen] * share, psf)
 
     def _draw_satellites(self, mean_e: FloatArray, scene: Scene, exposure: Exposure) -> TrueSources:
-        """Satellites along their own paths; returns those whose light reaches the detector."""
+        """Render satellites along their own paths, and return those whose light reaches the detector."""
         near, camera, photometer = scene.satellites, self.true_camera, self.photometer
         assert near is not None
+        # Satellites have the spectrum of sunlight. Their own motion adds to the extent of their streaks.
         rate_e_s = photometer.body_electrons_per_s(np.full(len(near), "Sun"), near.v_mag)
         extent_rad = near.angular_radius_rad + near.rate_rad_s * exposure.duration_s
         seen = self._reaching(scene, near.direction, rate_e_s, exposure, extent_rad)
@@ -252,7 +271,7 @@ class FocalPlane:
         return light.truth(xy, path_middles(paths.xy, paths.weights, xy), seen.electrons)
 
     def _draw_faint_stars(self, mean_e: FloatArray, sky: FaintSky, scene: Scene, exposure: Exposure) -> None:
-        """Stars beyond the catalogue, of the Sun's colour."""
+        """Render the synthetic stars fainter than the catalogue's limit; all have the Sun's colour."""
         camera, velocity = self.true_camera, scene.observer.velocity_km_s
         reach_rad = self.half_field_rad(exposure.duration_s) + scene.streak_rad
         shift_rad = largest_shift_rad(scene.observer)
@@ -265,7 +284,9 @@ class FocalPlane:
         motion = Motion(scene.pointing.rate_camera_rad_s, scene.jitter)
         paths = exposure.paths(camera, seen.in_camera, seen.electrons, motion, self.psfs.feature_px, _EDGE_MARGIN_PX)
         nm = np.full(len(seen.rows), float(self.photometer.effective_wavelength_nm(SOLAR_B_V, 0.0)))
-        shift = self.displacement.moved(seen.xy, nm) - seen.xy  # the same along a star's path, within 0.001 px
+        # The displacement changes by less than 0.001 px along a star's path, so that of mid-exposure serves for all of
+        # it; for these many stars that saves an evaluation per moment.
+        shift = self.displacement.moved(seen.xy, nm) - seen.xy
         self._draw_points(mean_e, np.arange(len(nm)), nm, seen.xy, paths._replace(xy=paths.xy + shift[:, None, :]))
 
     def _draw_ghosts(self, mean_e: FloatArray, sources: TrueSources) -> None:
@@ -287,7 +308,8 @@ class FocalPlane:
 
     @functools.lru_cache(maxsize=1)  # noqa: B019 (one image, as long as the plane lives)
     def _even_rate_e_s(self, s10: float) -> FloatArray:
-        rate_e_s = self._uniform_rate_e_s()  # of its own: an even sky needs no other map
+        # A map of its own is scaled in place: a uniform sky needs no second image in memory.
+        rate_e_s = self._uniform_rate_e_s()
         rate_e_s *= s10
         rate_e_s.flags.writeable = False
         return rate_e_s
@@ -315,6 +337,7 @@ class FocalPlane:
         camera, bodies = self.true_camera, scene.bodies
         image = np.zeros((camera.height, camera.width))
         lit_by = np.flatnonzero(np.isin(bodies.name, ("Sun", "Moon")))
+        # The share of Sun and Moon that the Earth does not hide is the same for the spacecraft and its tether.
         share = unhidden(bodies.select(lit_by), scene.r_km, scene.sun_direction, self.sky)
         lit_by, share = lit_by[share > 0.0], share[share > 0.0]
         rates_e_s = self.photometer.body_electrons_per_s(bodies.name[lit_by], bodies.v_mag[lit_by]) * share
@@ -328,6 +351,7 @@ class FocalPlane:
     def _draw_tether(self, image: FloatArray, points: TetherPoints, rate_e_s: FloatArray, nm: float) -> None:
         """Render defocused parts of the tether as disks and the others as points with the PSF."""
         camera = self.true_camera
+        # An out-of-focus part is a disk of the shape of the aperture; sharp parts are rendered as stars.
         xy = camera.project(points.direction)
         blurred = points.blur_rad / camera.pixel_rad > _DISK_PX
         for k in np.flatnonzero(blurred & np.isfinite(xy).all(axis=1)):
@@ -343,6 +367,8 @@ class FocalPlane:
         """Sun, Moon and Earth through the baffle, electrons per second and pixel, and whose exclusion is violated."""
         if self.baffle is None:
             return 0.0, ()
+        # The light of each source is integrated over the aperture by the photometer, and the baffle's transmittance
+        # distributes it uniformly over the detector.
         boresight = scene.pointing.camera.boresight
         names, directions, v_mag = stray_sources(scene.bodies, scene.r_km, self.sky)
         rate_e_s = stray_light_e_s_pixel(

@@ -1,7 +1,7 @@
 """Frame and truth.
 
-`Frame` holds only what a spacecraft knows: the image, its calibrated camera, its own time, position and speed, the
-attitude of its other sensors. `FrameTruth` is a separate object that the tracker never sees.
+`Frame` has only what is known on board: the image, the calibrated camera, the time, position and velocity of the
+spacecraft, and the attitude of its other sensors. `FrameTruth` is a separate object, which the tracker never receives.
 """
 
 from __future__ import annotations
@@ -35,18 +35,23 @@ class Frame:
     exposure_s: float
     """Exposure time."""
     saturation_dn: float
+    """Digital number at saturation."""
     gain_e_per_dn: float
+    """Electrons per digital number."""
     offset_dn: float
+    """Digital number of a pixel without charge."""
     read_noise_e: float
-    """What calibration on the ground says of the detector."""
+    """Standard deviation of the read noise. Like the three values above it is from the calibration on the ground."""
     prior: Attitude | None = None
     """Attitude from other sensors."""
     prior_deg: float = 0.0
-    """Half width of its error about each axis."""
+    """Half width of the uniform error of the prior about each axis."""
     scenario: str = ""
+    """Name of the scenario; with `seed` and `index` sufficient to reproduce the frame."""
     seed: int = 0
+    """Seed of the scenario."""
     index: int = 0
-    """Origin of the frame, sufficient to reproduce it."""
+    """Index of the trial."""
     parameters: dict[str, float | int | str | bool] = field(default_factory=dict)
     """Every key of the scenario's camera, for the file header."""
 
@@ -57,7 +62,7 @@ class Frame:
         return described("Frame", origin, size, f"{self.utc} UTC", f"exposure {self.exposure_s:g} s")
 
     def _repr_html_(self) -> str:
-        """The image with what is known on board, for notebooks."""
+        """The image and a table of the values known on board, for notebooks."""
         height, width = self.image.shape
         camera = self.camera
         rows = {
@@ -85,17 +90,20 @@ class TrueSources:
     xy: FloatArray
     """(N, 2): Pixel at mid-exposure for the true attitude."""
     image_xy: FloatArray
-    """(N, 2): Midpoint of the rendered path over the exposure (with a rolling shutter, over that of the source's rows),
-    that is the photocentre of the image. It differs from `xy` if paths are curved, or rows are exposed later than the
-    middle one."""
+    """(N, 2): Mean of the rendered path over the exposure, which is the photocentre of the image. With a rolling
+    shutter it is the mean over the exposure of the source's own rows. It differs from `xy` if the path is curved, or if
+    these rows are exposed earlier or later than the middle one."""
     direction: FloatArray
     """(N, 3): Apparent direction, ICRS axes."""
     v_mag: FloatArray
+    """(N,): V magnitude."""
     b_v: FloatArray
+    """(N,): Colour index B − V."""
     electrons: FloatArray
-    """V, B − V, and mean photo-electrons over the exposure."""
+    """(N,): Mean photo-electrons over the exposure."""
     variable: NDArray[np.bool_]
-    """Variable star according to the catalogue, rendered with the catalogue's V; False for bodies."""
+    """(N,): Whether the catalogue lists the star as variable (it is rendered with the catalogue's V); False for
+    bodies."""
 
     def __len__(self) -> int:
         return len(self.id)
@@ -147,8 +155,11 @@ class FrameTruth:
 
     @property
     def attitude_at_tag(self) -> Attitude:
-        """True attitude at the stated time, with a constant rate: that to which an attitude of this frame is
-        compared. Orbital motion and aberration during the error of the time are neglected (0.01″ in 1 s)."""
+        """True attitude at the stated time, extrapolated at constant rate.
+
+        Errors of an attitude are measured against it, because the tracker can only know the stated time. Orbital motion
+        and the change of aberration during the error of the time are neglected (0.01″ in 1 s).
+        """
         if self.time_tag_error_s == 0.0:
             return self.attitude
         turn = self.rate_camera_rad_s * self.time_tag_error_s

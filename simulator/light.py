@@ -1,4 +1,4 @@
-"""Light before the exposure: sources with their rates, electrons per second, and what drawing them needs."""
+"""Light before the exposure: sources with their rates, electrons per second, and their shapes for rendering."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _KIND_OF_BODY = {"Sun": "sun", "Moon": "moon"}
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """Sources of light, columns of equal length N."""
+    """Sources of light, as columns of equal length N; the first seven are as in `simulator.frame.TrueSources`."""
 
     id: IntArray
     name: NDArray[np.str_]
@@ -34,14 +34,14 @@ class Light:
     v_mag: FloatArray
     b_v: FloatArray
     variable: NDArray[np.bool_]
-    """As in `simulator.frame.TrueSources`."""
     rate_e_s: FloatArray
-    """(N,): Photo-electrons per second through the lens, vignetting left out."""
+    """(N,): Photo-electrons per second through the lens, without vignetting."""
     radius_rad: FloatArray
     """(N,): Angular radius; 0 for stars."""
     lit: FloatArray
+    """(N,): Illuminated fraction of the disk."""
     sun_angle_rad: FloatArray
-    """(N,): Illuminated fraction of the disk, and direction of the Sun on it."""
+    """(N,): Direction of the Sun on the disk, from +x (columns) towards +y (rows)."""
     limb: FloatArray
     """(N, 3): Limb of the Earth across the disk (`simulator.optics.bodies.Limb`)."""
     wavelength_nm: FloatArray
@@ -67,6 +67,7 @@ def star_rates_e_s(scene: Scene, photometer: Photometer, sky: Sky) -> FloatArray
 
 def hidden_stars(scene: Scene, directions: FloatArray, sky: Sky) -> NDArray[np.bool_]:
     """Whether stars in directions (N, 3) are behind the Earth, or behind a body that the spacecraft orbits."""
+    # The Earth is tested as a sphere around the nadir, any other near body as a disk of its angular radius.
     hidden = occulted(directions, scene.r_km) if has_disk(sky, scene.r_km) else np.zeros(len(directions), dtype=bool)
     for body in (scene.bodies.angular_radius_rad > NEAR_BODY_RAD).nonzero()[0]:
         hidden |= directions @ scene.bodies.direction[body] > math.cos(scene.bodies.angular_radius_rad[body])
@@ -95,7 +96,7 @@ def star_light(scene: Scene, rows: IntArray, rate_e_s: FloatArray, photometer: P
 
 
 def body_rates_e_s(scene: Scene, bodies: Bodies, photometer: Photometer, sky: Sky) -> FloatArray:
-    """Photo-electrons per second of bodies (N,), less what the Earth hides of them."""
+    """Photo-electrons per second of bodies (N,), reduced by the part of each that the Earth hides."""
     share = unhidden(bodies, scene.r_km, scene.sun_direction, sky)
     return photometer.body_electrons_per_s(bodies.name, bodies.v_mag) * share
 
@@ -106,6 +107,7 @@ def body_light(
     """Bodies of the solar system as sources, with the phase and the Earth's limb on their disks."""
     attitude = scene.pointing.camera
 
+    # The Sun's direction and that of the Earth's limb are angles on the image, which depend on the attitude.
     def angles(towards: FloatArray) -> FloatArray:
         return np.array([sun_angle_rad(camera, attitude, body, towards) for body in bodies.direction])
 
@@ -133,7 +135,7 @@ def body_light(
 def satellite_light(
     scene: Scene, satellites: Satellites, rate_e_s: FloatArray, camera: Camera, photometer: Photometer, sky: Sky
 ) -> Light:
-    """Satellites as sources of sunlight, with the phase on the disks of those near by."""
+    """Satellites as sources of reflected sunlight; those near enough to be resolved are disks with a phase."""
     count, attitude, direction = len(satellites), scene.pointing.camera, satellites.direction
     return Light(
         id=satellites.number,
@@ -153,14 +155,15 @@ def satellite_light(
 
 
 def near_image(xy: FloatArray, extent_px: FloatArray, width: int, height: int) -> IntArray:
-    """Rows of those positions (N, 2) that lie on the image or outside by no more than an extent (N,)."""
+    """Rows of the positions (N, 2) that are within an extent (N,) of the image, in pixels."""
     x, y = xy[:, 0], xy[:, 1]
     near = (-x <= extent_px) & (x - width <= extent_px) & (-y <= extent_px) & (y - height <= extent_px)
     return near.nonzero()[0]
 
 
 def path_middles(paths: FloatArray, weights: FloatArray, otherwise: FloatArray) -> FloatArray:
-    """Weighted means (N, 2) of paths (N, K, 2) over moments that are not NaN; `otherwise` (N, 2) if there are none."""
+    """Weighted means (N, 2) of paths (N, K, 2) over the moments that are not NaN, or `otherwise` (N, 2) for a path
+    without any."""
     finite = np.isfinite(paths)
     if finite.all():
         return np.asarray(np.einsum("k,nkj->nj", weights, paths) / weights.sum())

@@ -43,4 +43,5 @@ def _values(column: Any) -> list[Any]:
 
     if not pa.types.is_timestamp(column.type):
         return list(column.to_pylist())
+    # The cast drops the time zone, in which Arrow stores UTC, and NumPy writes ISO 8601.
     return [str(value) for value in column.cast(pa.timestamp("ns")).to_numpy()]

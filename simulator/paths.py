@@ -14,7 +14,7 @@ from startracker.errors import InputError
 
 @contextlib.contextmanager
 def open_atomically(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
-    """Stream that becomes the file `path` if the block succeeds, and leaves no file behind if it fails.
+    """Open a stream that is renamed to `path` if the block succeeds and removed if it fails.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def open_atomically(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
                 stream.flush()
                 if durable:
                     os.fsync(stream.fileno())
-            os.chmod(temporary, 0o644)
+            os.chmod(temporary, 0o644)  # mkstemp creates files that only their owner can read
             os.replace(temporary, path)
         finally:
             with contextlib.suppress(FileNotFoundError):
@@ -67,6 +67,7 @@ def make_folder(path: Path) -> Path:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
+        # Permission bits do not show whether a file can be created, so one is created.
         with tempfile.TemporaryFile(dir=path):
             pass
     except OSError as error:

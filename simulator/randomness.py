@@ -1,7 +1,7 @@
 """Random streams keyed by (seed, stage, trial).
 
-The same scenario and seed give the same random numbers on any number of workers, and a new stage does not change the
-others.
+The same scenario and seed give the same random numbers on any number of workers, and the numbers of one stage do not
+depend on which other stages exist.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ Streams = Callable[[str], np.random.Generator]
 def seed_of(seed: int, stage: str, name: str) -> int:
     """Seed of one of several named objects, such as the cameras of a spacecraft; from 0 to 2⁶³ − 1."""
     key = np.random.SeedSequence(entropy=seed, spawn_key=(zlib.crc32(stage.encode()), zlib.crc32(name.encode())))
+    # One bit is dropped so that the seed fits into a signed 64-bit integer, as in a FITS header or a table.
     return int(key.generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
@@ -32,5 +33,6 @@ def stream(seed: int, stage: str, trial: int = DEVICE) -> np.random.Generator:
     """
     if seed < 0 or trial < DEVICE:
         raise ValueError(f"a stream needs a seed from 0 and a trial from {DEVICE} up; got {seed} and {trial}")
+    # A spawn key must not be negative, and the properties of the device have the trial -1.
     key = np.random.SeedSequence(entropy=seed, spawn_key=(zlib.crc32(stage.encode()), trial + 1))
     return np.random.Generator(np.random.Philox(key))

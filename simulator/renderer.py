@@ -1,7 +1,7 @@
 """The stages in order: scenario → scene (orbit, pointing, sky) → focal plane (optics) → detector → frame and truth.
 
-The order of the physics is only defined here. Every stage is a pure function of the previous ones and of its own random
-stream.
+This module alone defines the order of the stages. Every stage is a pure function of the results of the previous ones
+and of its own random stream.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from startracker.arguments import ABOVE_0, of_kind, real_array, real_number, who
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, camera_attitude
 
-_OF_SCENES = ("detector.height", "detector.shutter", "detector.line_time_us")
+_SCENE_KEYS = ("detector.height", "detector.shutter", "detector.line_time_us")
 """Keys of the detector on which the scenes depend."""
-_OF_READOUT = (
+_READOUT_KEYS = (
     *("detector.exposure_s", "detector.gain_e_per_dn", "detector.temperature_c", "detector.hot_pixel_"),
     *("detector.dark_current_e_s", "detector.read_noise_e", "detector.offset_dn", "detector.dsnu", "detector.prnu"),
 )
@@ -43,7 +43,7 @@ _OF_READOUT = (
 MOST_SEED = 2**63 - 1
 """Largest seed, and largest index of a trial."""
 _LONGEST_EXPOSURE_S = 1e5
-"""Longest exposure that a caller can ask for, about a day: the path of a star has a sample for every pixel."""
+"""Maximum exposure time, about a day; it bounds the memory of a star's path, which has a sample for every pixel."""
 _LEAST_PRIOR_DEG = 0.1
 """Minimum error of the prior, also if the scenario states no pointing error."""
 
@@ -117,23 +117,28 @@ class Renderer:
         self.transients = build_transients(scenario)
         self.parameters = flat_parameters(scenario)
         device = self.detector.parameters
+        # As a laboratory would state it: in the electrons of the photon-transfer curve, which with an intensifier are
+        # not the detector's own.
         self._read_noise_e = electronics_noise_e(device) / bunch_e(device)
 
     def __repr__(self) -> str:
         return f"Renderer({self.scenario!r})"
 
     def changed(self, values: Mapping[str, Any]) -> Renderer:
-        """Renderer of `Scenario.changed` with these values, which shares all parts that do not depend on them.
+        """Renderer of the scenario with other values, which shares all parts that do not depend on them.
 
-        Its frames are those of a new renderer of that scenario. `ScenarioError` for values that are not valid.
+        Its frames are identical to those of a new renderer of `Scenario.changed(values)`. Raises `ScenarioError` for
+        values that are not valid.
         """
+        # Catalogue, PSF tables and fixed patterns take seconds to build; a sweep changes one key for each of its
+        # points. Each condition below lists the keys that do not affect a part.
         scenario, other = self.scenario.changed(values), copy.copy(self)
         device = self.detector.parameters
         other.scenario, other.parameters = scenario, flat_parameters(scenario)
         other.exposure_s, other.shutter = scenario.detector.exposure_s, shutter_of(scenario.detector)
-        if not _only(values, ("optics.", "detector.", "environment."), _OF_SCENES):
+        if not _only(values, ("optics.", "detector.", "environment."), _SCENE_KEYS):
             other.scenes = build_scenes(scenario, self._trajectory)
-        if not _only(values, _OF_READOUT):
+        if not _only(values, _READOUT_KEYS):
             other.focal_plane = build_focal_plane(scenario, self.seed)
             other.camera = other.focal_plane.camera
         if not _only(values, ("optics.", "detector.exposure_s")):
@@ -198,6 +203,7 @@ class Renderer:
             exposure_s=duration_s,
         )
         light = self.expose(scene, duration_s)
+        # The image is taken at the true time; an error of the camera's clock only changes the label of the frame.
         moment = self._moment(scene, duration_s)
         readout = self.detector.expose(light.mean_e, moment, self._streams(index), keep_charge=False)
         late_s = self._time_tag_error_s(index)
@@ -278,9 +284,10 @@ def flat_parameters(scenario: Scenario) -> dict[str, float | int | str | bool]:
         elif value is not None:
             flat[prefix] = value
 
+    # Null values are omitted, because header cards need a value, and lists become text.
     resolved = scenario.resolved()
     if scenario.pointing.track.target is None:
-        del resolved["pointing"]["track"]  # some forty keys of another orbit
+        del resolved["pointing"]["track"]  # some forty keys of an orbit that is not used
     sections = ("orbit", "pointing", "sky", "tether", "optics", "detector", "environment")
     walk("", {name: resolved[name] for name in sections})
     return flat

@@ -50,7 +50,8 @@ from startracker.geometry.attitude import Attitude
 from startracker.observer import Observer
 
 NEAR_BODY_RAD = math.radians(5.0)
-"""Angular radius from which a body hides stars, and cannot be rendered: the disk of a spacecraft's orbit around it."""
+"""Angular radius above which a body hides stars and cannot be rendered as a disk; only a body that the spacecraft
+orbits is as large."""
 
 BLOCK_TRIALS = 128
 """Trials whose ephemerides are computed together: this shares the overhead of Skyfield's calls, and the arrays fit into
@@ -78,12 +79,13 @@ class Scene:
     catalog: StarCatalog
     """All stars of the sky."""
     b_v: FloatArray
+    """B − V of every star of the catalogue, by which its spectrum is chosen (`simulator.sky.colours`)."""
     giant: FloatArray
-    """Colour and class of their spectra (`simulator.sky.colours`)."""
+    """Luminosity class of every star of the catalogue: 0 (dwarf) to 1 (giant), or 10 + subtype of an M giant."""
     rows: IntArray
     """(N,): Rows of the stars in and around the field."""
     star_directions: FloatArray
-    """(N, 3): Apparent directions of these, ICRS axes."""
+    """(N, 3): Apparent directions of these stars, ICRS axes."""
     bodies: Bodies
     """Sun, Moon and planets, also outside the field."""
     satellites: Satellites | None = None
@@ -98,7 +100,7 @@ class Scene:
 
 
 class GivenState(NamedTuple):
-    """What a caller says about a scene instead of its trial; None where the trial decides."""
+    """Values given by a caller; None for those that the trial's random streams determine."""
 
     at_s: float | None = None
     """Seconds after the scenario's epoch."""
@@ -119,9 +121,11 @@ class SceneParameters:
     sampling: str
     """Sampling of trials: ``mission_year``, ``orbit``, ``span`` or ``sky`` (`simulator.mission.sampling`)."""
     pointing: PointingParameters
+    """Mounting, attitude law and jitter."""
     spectrum: Spectrum
+    """Spectrum of the jitter."""
     sky: Sky
-    """Mounting, attitude law and jitter; spectrum of the jitter; contents of the sky."""
+    """Contents of the sky."""
     series: JitterSeries | None = None
     """Jitter as a time series."""
     exposure_margin_s: float = 0.0
@@ -130,10 +134,12 @@ class SceneParameters:
 
 @functools.lru_cache(maxsize=2)
 def _sky_of(catalog: StarCatalog, magnitude_limit: float) -> tuple[SkyIndex, FloatArray, FloatArray]:
-    """Stars of a sky, B−V and luminosity class of each; cached for the cameras of a sweep."""
+    """Index of the stars to a magnitude limit, and B − V and luminosity class of each (N,); cached for the cameras of a
+    sweep."""
     stars = by_declination(catalog.brighter_than(magnitude_limit))
     b_v, giant = spectral_coordinates(stars.b_v, stars.spectral_type)
-    stars = replace(stars, spectral_type=np.full(len(stars), ""))  # unused, and 80 bytes per star
+    # The spectral types are not needed any more, and take 80 bytes per star.
+    stars = replace(stars, spectral_type=np.full(len(stars), ""))
     return SkyIndex(stars), b_v, giant
 
 
@@ -174,10 +180,11 @@ class SceneBuilder:
         self._round_s = round_s(parameters.pointing, orbit.period_s)
         seen = parameters.sky
         self.sky, self._b_v, self._giant = _sky_of(load_catalog(seen.catalog), seen.magnitude_limit)
+        # A named target is looked up once; a target given by coordinates needs no catalogue.
         target = parameters.pointing.target
         self._target = find_target(target, self.sky.catalog) if isinstance(target, str) else None
-        self._blocks: dict[int, Instants] = {}
-        self._plan: tuple[Instants | None, dict[float, int]] = (None, {})
+        self._blocks: dict[int, Instants] = {}  # the newest block of trials
+        self._plan: tuple[Instants | None, dict[float, int]] = (None, {})  # a block of planned times, and their rows
 
     def instant(self, index: int) -> Instant:
         """Time of trial `index`, and positions of spacecraft and bodies."""
@@ -195,6 +202,7 @@ class SceneBuilder:
             indices = np.arange(block * BLOCK_TRIALS, (block + 1) * BLOCK_TRIALS)
             given = self.parameters
             t_s = trial_time_s(given.sampling, given.seed, indices, self._round_s, self.span_s)
+            # Only the newest block is held: trials are rendered in order, so an older one is not needed again.
             self._blocks = {block: Instants.of(self.orbit, t_s, self.parameters.sky)}
         return self._blocks[block], row
 
@@ -239,6 +247,7 @@ class SceneBuilder:
         observer, sun_au = now.observer, now.sun_au
         pointing = self._pointing(now, streams("pointing"), given)
         pointing, jitter = self._jittered(pointing, streams, given.jitter, exposure_s)
+        # A star can enter the field during the exposure, so the cap of stars is wider by the streak.
         streak_rad = math.hypot(*pointing.rate_camera_rad_s.tolist()) * exposure_s
         reach_rad = min(half_field_rad + streak_rad, math.pi)
         boresight = pointing.camera.boresight
@@ -277,8 +286,8 @@ class SceneBuilder:
             exposure_s + self.parameters.exposure_margin_s,
             lambda t_s: geocentric(self.orbit, t_s),
             self.orbit.span_s,
-            observer.velocity_km_s - now.v_km_s,
-            (now.sun_au - observer.position_au) * AU_KM + now.r_km,
+            observer.velocity_km_s - now.v_km_s,  # barycentric velocity of the Earth
+            (now.sun_au - observer.position_au) * AU_KM + now.r_km,  # geocentric position of the Sun
             boresight,
             reach_rad,
         )
@@ -286,6 +295,8 @@ class SceneBuilder:
 
     def _pointing(self, now: Instant, rng: np.random.Generator, given: GivenState) -> Pointing:
         """True attitude and rate, without jitter."""
+        # The order is the precedence of the laws. The generator is used by the law even if the attitude is given,
+        # because the given one has the random prior error of the trial.
         law = self.parameters.pointing
         if law.target is not None:
             pointing = hold(law, self._towards_target(now.observer, now.sun_au, now.bodies), rng)
@@ -318,7 +329,7 @@ class SceneBuilder:
         return mounting_rotation_rad(given, angle_from_noon_rad(now.r_centre_km, now.v_centre_km_s, to_sun))
 
     def _refuse_near_surface(self, now: Instant, boresight: FloatArray, reach_rad: float) -> None:
-        """`InputError` if a surface that fills much of the sky, other than the Earth's, may be in the field."""
+        """Raise `InputError` if the surface of a large body other than the Earth may be in the field."""
         bodies = now.bodies
         for k in (bodies.angular_radius_rad > NEAR_BODY_RAD).nonzero()[0]:
             away = math.acos(min(max(float(boresight @ bodies.direction[k]), -1.0), 1.0))
@@ -354,13 +365,15 @@ class SceneBuilder:
         jitter = jitter or self._frame_jitter(streams("jitter"), exposure_s)
         if jitter is None:
             return pointing, None
+        # A tracker measures the mean attitude over the exposure, so the mean of the jitter belongs to the truth, and
+        # only the deviation from it smears the image.
         mean = Attitude.from_rotation_vector(jitter.mean(exposure_s), "camera", "camera")
         camera = mean @ pointing.camera
         jittered = replace(pointing, camera=camera, body=pointing.mounting.inverse @ camera)
         return jittered, jitter.centred(exposure_s)
 
     def _towards_target(self, observer: Observer, sun_au: FloatArray, bodies: Bodies) -> Attitude:
-        """Nominal camera attitude on the target."""
+        """Nominal attitude of the camera, pointed at ``pointing.target``."""
         pointing = self.parameters.pointing
         if isinstance(pointing.target, tuple):
             return Attitude.from_radec_roll(*pointing.target)

@@ -9,9 +9,9 @@ class Unit(NamedTuple):
     """A unit."""
 
     words: str
-    """For people."""
+    """Text for display."""
     astropy: str | None
-    """For ``astropy.units``; None where it has none."""
+    """Name of the unit in ``astropy.units``; None if it has no such unit."""
 
 
 UNITS = {
@@ -57,6 +57,7 @@ UNITS = {
 
 def unit_suffix(name: str) -> str:
     """The longest ending of a name, after its first underscore, that states a unit; empty if none does."""
+    # Endings are tried from the longest, so that ``rate_deg_s`` is deg/s and not s.
     ending = name.partition("_")[2]
     while ending and ending not in UNITS:
         ending = ending.partition("_")[2]

@@ -36,22 +36,22 @@ def real_number(
     Parameters
     ----------
     name : str
-        Of the argument.
+        Name of the argument, for the message.
     given : object
-        As given by the caller.
+        Value as given by the caller.
     unit : str
-        Into which a quantity is converted.
+        Unit into which a quantity is converted.
     least, most : float
         Limits, inclusive.
     finite : bool
-        Whether NaN and infinities are refused; otherwise limits do not apply to NaN.
+        Whether NaN and infinities are rejected; if not, the limits do not apply to NaN.
     what : str
-        What the argument must be, in the message.
+        Description of what the argument must be, for the message.
 
     Raises
     ------
     InputError
-        For anything else, complex numbers, text and truth values included.
+        For anything else, including complex numbers, text and truth values.
     """
     value = plain(given, unit, name) if unit else given
     if isinstance(value, np.ndarray) and value.ndim == 0:
@@ -90,15 +90,15 @@ def real_array(
     Parameters
     ----------
     name : str
-        Of the argument.
+        Name of the argument, for the message.
     given : array_like or astropy Quantity
-        As given by the caller.
+        Value as given by the caller.
     shape : tuple, optional
         Required shape; None in it stands for any length.
     unit : str
-        Into which a quantity is converted.
+        Unit into which a quantity is converted.
     finite : bool
-        Whether NaN and infinities are refused.
+        Whether NaN and infinities are rejected.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def of_kind(name: str, given: Any, kinds: Any, advice: str = "") -> Any:
     Raises
     ------
     InputError
-        If it is not; `advice` says how one is made.
+        If it is not; `advice` explains how to create one.
     """
     if isinstance(given, kinds):
         return given

@@ -1,4 +1,4 @@
-"""Solve photographs with a roughly known or unknown focal length. The camera is fitted with the attitude."""
+"""Solve photographs whose focal length is roughly known or unknown; the camera is fitted together with the attitude."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from startracker.arguments import ABOVE_0, real_array, real_number, whole_number
 from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray
+from startracker.detection.background import Light
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
 from startracker.free_search import FreeSearch
@@ -61,7 +62,7 @@ def solve_unknown_fov(
     width, height : int, optional
         Size of the image from which the centroids were measured.
     flux : array_like, shape (N,), optional
-        Signal of the centroids; if omitted they are taken as sorted by brightness.
+        Signal of the centroids; if omitted they are assumed to be sorted by brightness.
     fov_deg : float or astropy Quantity, optional
         Approximate field of view across the width; None: 3° to 72° is searched.
     fov_error : float
@@ -78,7 +79,7 @@ def solve_unknown_fov(
     observer : Observer, optional
         As for `StarTracker.solve`.
     saturation_dn, gain_e_per_dn : float, optional
-        Of the detector, if known.
+        Properties of the detector, if known.
 
     Returns
     -------
@@ -92,7 +93,7 @@ def solve_unknown_fov(
     """
     fov_deg = None if fov_deg is None else real_number("fov_deg", fov_deg, unit="deg", finite=False)
     camera = None if camera is None else as_camera("camera", camera)
-    _refuse(fov_deg, fov_error, parity, camera)
+    _check_arguments(fov_deg, fov_error, parity, camera)
     clock = Clock()
     given = given_image(source, observer, None, saturation_dn, gain_e_per_dn)
     if width is None and height is None:
@@ -113,6 +114,7 @@ def solve_unknown_fov(
         given.observer,
         variance_px2=points.variance_px2,
         rough=camera,
+        light=points.light,
     )
     if camera is not None:
         parity, fov_deg = parity or camera.parity, camera.undistorted_fov_deg
@@ -146,6 +148,8 @@ class _Points(NamedTuple):
     """Number of saturated stars."""
     detection: DetectionSettings | None = None
     """Settings with which they were detected; None for a list of centroids."""
+    light: Light | None = None
+    """The image; None for a list of centroids."""
 
 
 def _points_of_image(
@@ -156,12 +160,12 @@ def _points_of_image(
     centroid: CentroidSettings | None,
     clock: Clock,
 ) -> _Points | Solution:
-    """Centroids of an image; a solution that says why if it cannot be used."""
+    """Centroids of an image, or a solution with the reason why it cannot be used."""
     settings = settings_or_default("detection", detection, DetectionSettings)
     trace: Trace = []
     found = find_stars(
         given,
-        lookup("detectors", detecting.DETECTORS, detector),
+        lookup("detectors", detecting.METHODS, detector),
         lookup("centroiders", centroiding.METHODS, centroider),
         settings,
         settings_or_default("centroid", centroid, CentroidSettings),
@@ -173,10 +177,11 @@ def _points_of_image(
         return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=Steps(*trace))
     rows, columns = np.shape(given.image)
     xy, flux, variance = found.stars[:3]
-    return _Points(columns, rows, xy, flux, variance, Steps(*trace), found.saturated, settings)
+    light, steps = found.stars.light, Steps(*trace)
+    return _Points(columns, rows, xy, flux, variance, steps, found.saturated, settings, light)
 
 
-def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:
+def _check_arguments(fov_deg: float | None, fov_error: float, parity: int | None, camera: Camera | None) -> None:
     """Raise an InputError for an invalid field of view or parity."""
     if fov_deg is not None and not 0.5 <= fov_deg <= 120.0:
         raise InputError(f"a field of view must be between 0.5° and 120° here; got {fov_deg}°")
@@ -190,25 +195,27 @@ def _refuse(fov_deg: float | None, fov_error: float, parity: int | None, camera:
 def _points_of_list(
     source: ArrayLike, flux: ArrayLike | None, variance_px2: ArrayLike | None, width: int | None, height: int | None
 ) -> _Points:
-    """Given centroids, cleaned."""
+    """Centroids of a given list, cleaned."""
     if width is None or height is None:
         raise InputError("centroids need both the width and the height of their image")
     width, height = whole_number("width", width), whole_number("height", height)
     if width < 1 or height < 1:
         raise InputError(f"an image needs a size in pixels; got {width}×{height}")
+    # The cleaning uses only the size of the image; the field of view is arbitrary.
     xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, width, height))
     variance = None if variance_px2 is None else _variance_of(xy, source, variance_px2)
     return _Points(width, height, xy, signal, variance, (listed_step(np.size(source) // 2, xy, signal),))
 
 
 def _variance_of(kept: FloatArray, source: ArrayLike, variance_px2: ArrayLike) -> FloatArray:
-    """Variances of the centroids that are left after cleaning, matched by position."""
+    """Variances of the centroids that remain after cleaning, matched by position."""
     given = real_array("variance_px2", variance_px2, finite=False).reshape(-1)
     points = real_array("centroids", source, finite=False)
     if len(given) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(given)} variances")
     if not (np.isfinite(given) & (given > 0.0)).all():
         raise InputError("the variances of centroids must be positive numbers (px²)")
+    # In reversed order, so that of repeated positions the first one is used, as in the cleaning.
     row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}
     return given[[row[x, y] for x, y in kept.tolist()]]
 

@@ -1,7 +1,7 @@
-"""One-line descriptions of objects for ``repr``, and the self-contained HTML that notebooks show.
+"""One-line descriptions of objects for ``repr``, and the self-contained HTML for display in notebooks.
 
-The HTML takes colours of text and background from the notebook, so that it can be read in light and dark themes; it
-needs no script and no file from elsewhere.
+The HTML uses the colours of text and background of the notebook, so that it is readable in light and dark themes; it
+needs no script and no other files.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from startracker.core import ARCSEC_RAD
 
 _LONGEST = 240
-"""Characters of a description; what is beyond is cut."""
+"""Largest number of characters of a description; the rest is cut off."""
 PICTURE_PX = 420
-"""Longer side of a picture in a notebook."""
+"""Longer side of a picture in a notebook, px."""
 
 
 def described(kind: str, *parts: str) -> str:
-    """``Kind(part, part)`` on one line of limited length; empty parts are left out."""
+    """``Kind(part, part)`` on one line of limited length; empty parts are omitted."""
     text = " ".join(f"{kind}({', '.join(part for part in parts if part)})".split())
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 2]}…)"
 
@@ -41,7 +41,7 @@ def changed_fields(values: Any) -> str:
 
 
 def fields_repr(values: Any) -> str:
-    """``__repr__`` of a dataclass with arrays: each array is shown by its shape."""
+    """``__repr__`` of a dataclass with arrays, each of which is represented by its shape."""
     shown = []
     for field in dataclasses.fields(values):
         value = getattr(values, field.name)
@@ -94,7 +94,7 @@ def star_chart(
     radius: NDArray[np.float64],
     names: Iterable[str],
 ) -> str:
-    """Chart of an image as SVG in the notebook's own text colour: every centroid a dot, identified stars circled.
+    """Chart of an image as SVG in the notebook's text colour: a dot for every centroid, a circle for identified stars.
 
     Parameters
     ----------

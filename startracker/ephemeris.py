@@ -30,7 +30,8 @@ DE421_NAME = {
     "Sun": "sun",
     "Earth": "earth",
 }
-"""Name of each body in the ephemeris. Jupiter to Neptune: the barycentre with the moons, within 0.1″ of the planet."""
+"""Name of each body in the ephemeris. For Jupiter to Neptune it is the barycentre with the moons, within 0.1″ of the
+planet."""
 
 DE421_BARYCENTRES = {"Earth-Moon barycentre": "earth barycenter", "Pluto barycentre": "pluto barycenter"}
 """Points of the ephemeris that are not bodies, with their names in it."""

@@ -5,16 +5,16 @@ Expected outcomes (no stars, an ambiguous field) are not errors but a `Solution`
 
 
 class BoresightError(Exception):
-    """Base class of all errors raised deliberately; the message can be shown to the user as it is."""
+    """Base class of all errors that are raised deliberately; the message can be displayed to the user as it is."""
 
 
 class InputError(BoresightError, ValueError):
-    """A value, file or image that cannot be used; the message says which one and what to do."""
+    """A value, file or image that cannot be used; the message states which one and what to do."""
 
 
 class InputWarning(UserWarning):
-    """An input that has no effect, or is used in part; the message says where and why."""
+    """An input that has no effect, or is used only in part; the message states where and why."""
 
 
 class FrameMismatchError(BoresightError, ValueError):
-    """Two attitudes were composed or compared whose frames do not match."""
+    """Two attitudes with frames that do not match were composed or compared."""

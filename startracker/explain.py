@@ -1,6 +1,6 @@
 """Text explanations of the stages' results, for `Solution.steps` and ``boresight solve --explain``.
 
-The text is only formatted when it is read (`startracker.trace.Steps`), and maps are sampled on a lattice of about a
+The text is formatted only when it is read (`startracker.trace.Steps`), and maps are sampled on a lattice of about a
 thousand pixels, so that the explanation is always available at little cost.
 """
 
@@ -40,8 +40,10 @@ def _extent(values: NDArray[Any]) -> tuple[float, float, float]:
 
 
 def image_sample(image: NDArray[Any]) -> NDArray[Any]:
-    """Copy of the values on a lattice, for `image_step`: the caller may change the image before the text is read."""
+    """Copy of the values on a lattice, for `image_step`, because the caller may change the image before the text is
+    read."""
     rows, columns = _steps(image.shape)
+    # The samples are the centres of the lattice's cells, away from the border.
     return image[rows // 2 :: rows, columns // 2 :: columns].flatten()
 
 
@@ -189,11 +191,11 @@ def hints(
     stars : int
         Number of centroids passed to identification.
     known_camera : bool
-        Whether the focal length was given as exact.
+        Whether the focal length was given exactly.
     fov_known : bool
-        Whether it was given approximately.
+        Whether the focal length was given approximately.
     saturated : int
-        Number of saturated star images among them.
+        Number of saturated star images among the centroids.
     settings : DetectionSettings, optional
         Settings of the detection, if there was one.
     """

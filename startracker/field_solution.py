@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -83,18 +82,16 @@ def solution_of(
 def _solved(found: Identification, refined: Refined, field: Field, camera: Camera, clock: Clock) -> Solution:
     measured, guide = field.stars, field.guide
     used, chosen = refined.pairs[:, 0], refined.pairs[:, 1]
-    if measured.variance_px2 is None:
-        sigma_px = np.full(len(used), math.nan)
-    else:
+    sigma_px = None
+    if measured.variance_px2 is not None:
         floor_px = guide.catalog.position_sigma_rad / camera.pixel_rad
         sigma_px = np.sqrt(measured.variance_px2[used] + floor_px**2)
-    stars = MatchedStars(
-        xy=measured.xy[used],
-        catalog_id=guide.catalog.id[chosen],
-        name=guide.catalog.star_name[chosen],
-        v_mag=guide.v_mag[chosen],
-        flux=np.full(len(used), math.nan) if measured.flux is None else measured.flux[used],
-        residual_px=refined.residual_px,
+    stars = MatchedStars.of(
+        guide,
+        chosen,
+        measured.xy[used],
+        refined.residual_px,
+        flux=None if measured.flux is None else measured.flux[used],
         used=refined.used,
         sigma_px=sigma_px,
     )

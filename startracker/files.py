@@ -1,4 +1,4 @@
-"""Reading of files that users name: regular files up to a stated size; every error is one line."""
+"""Reading of files that users name: regular files up to a limit of size; every error is one line."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check_file(path: str | Path, most_bytes: int, hint: str) -> os.stat_result:
     most_bytes : int
         Largest size.
     hint : str
-        What to give instead, the end of the message.
+        End of the message: what to give instead.
 
     Returns
     -------
@@ -74,7 +74,8 @@ def read_bytes(path: str | Path, most_bytes: int, hint: str) -> bytes:
 
 
 def read_stream(stream: BinaryIO, most_bytes: int, name: str, hint: str) -> bytes:
-    """Content of a stream of at most `most_bytes`; `InputError`, which begins with `name`, for more."""
+    """Content of a stream of at most `most_bytes`; for more, `InputError` with a message that begins with `name`."""
+    # One byte more than allowed shows that there is more.
     data = stream.read(most_bytes + 1)
     if len(data) > most_bytes:
         raise InputError(_too_large(name, "is larger", most_bytes, hint))
@@ -82,13 +83,15 @@ def read_stream(stream: BinaryIO, most_bytes: int, name: str, hint: str) -> byte
 
 
 def read_text(path: str | Path, most_bytes: int, hint: str) -> str:
-    """Text of a UTF-8 file, with or without a byte-order mark; parameters and errors as for `check_file`, and
-    `InputError` if the file is not text."""
+    """Text of a UTF-8 file, with or without a byte-order mark.
+
+    Parameters and errors are those of `check_file`; also `InputError` if the file is not text.
+    """
     return as_text(read_bytes(path, most_bytes, hint), path, hint)
 
 
 def as_text(data: bytes, path: str | Path, hint: str) -> str:
-    """Text of the content of a UTF-8 file, with or without a byte-order mark; `InputError` if it is not text."""
+    """Decode the content of a UTF-8 file, with or without a byte-order mark; `InputError` if it is not text."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -96,8 +99,10 @@ def as_text(data: bytes, path: str | Path, hint: str) -> str:
 
 
 def read_yaml(path: str | Path, hint: str) -> Any:
-    """Plain values of a YAML file of settings; errors as for `check_file`, and `InputError` for what is not YAML or is
-    nested too deeply."""
+    """Plain values of a YAML file of settings.
+
+    Errors are those of `check_file`; also `InputError` for content that is not YAML or is nested too deeply.
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 

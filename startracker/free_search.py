@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray, IntArray
+from startracker.detection.background import Light
 from startracker.errors import InputError
 from startracker.estimation import Estimator
 from startracker.geometry.attitude import Attitude
@@ -19,18 +21,20 @@ from startracker.identification.acceptance import accepts, log_chance, log_limit
 from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.unknown_scale import free_scale
 from startracker.identification.unknown_scale.free_scale import FreeFit
-from startracker.identification.unknown_scale.last_fit import estimated, last_fit
+from startracker.identification.unknown_scale.last_fit import STATED_PX, estimated, last_fit
 from startracker.identification.unknown_scale.quads import all_stars, brightest_stars, quad_index
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.settings import IdentificationSettings
 from startracker.solution import MatchedStars, Solution, Status
-from startracker.unexplained import NO_ROWS, Fitted, unexplained_in
+from startracker.unexplained import NO_ROWS, Fitted, reason_to_refuse
 
 _POOR = 20
 _BEYOND_DOUBT = 7.0
 """Margin (in ln of the false-alarm probability) beyond the limit at which the search ends at once."""
 _PATTERN_WORK, _GROW_WORK, _MOST_ROUNDS = 50_000, 500_000, 10
 """Operations counted for a pattern tried, and for growing a fit in addition to those of the match in each round."""
+_SAME_LENS = 0.01
+"""Relative error of a fitted focal length within which the stars that it leaves are searched for by themselves."""
 _BARREL = -0.06
 """k1 r² at the corner that represents strong barrel distortion, -0.03 to -0.1; beyond -0.148 the image folds."""
 
@@ -60,6 +64,13 @@ class FreeSearch:
     """Operations counted so far (`IdentificationSettings.max_operations_free_scale`)."""
     estimator: Estimator | None = None
     """Method that gives the attitude of the matched stars, with the fitted lens; None: the fit of lens and attitude."""
+    light: Light | None = None
+    """The image, if the centroids are those of one."""
+    identify: Callable[[IntArray, Camera], IntArray] | None = None
+    """Catalogue numbers of the stars with which a star tracker identifies some centroids, by their rows, once the
+    camera is known; None: a photograph, whose centroids need not be in the order of V."""
+    faintest_v: float = math.inf
+    """Magnitude limit of the star tracker's guide stars, which an accepted attitude explains."""
 
     def __post_init__(self) -> None:
         most = self.settings.max_centroids
@@ -87,8 +98,7 @@ class FreeSearch:
     def run_about(self, error: float) -> tuple[Solution, tuple[float, float, float]]:
         """Search within a relative error of the known camera's focal length; and the band that is searched."""
         assert self.rough is not None
-        fov = self.rough.undistorted_fov_deg
-        band = (fov * (1.0 - error), fov, fov * (1.0 + error))
+        band = _about(self.rough, error)
         return self.run((band,), (self.rough.parity,)), band
 
     def run(self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...]) -> Solution:
@@ -102,18 +112,25 @@ class FreeSearch:
             reason = f"{len(xy)} stars detected; {needed} are needed if the focal length is unknown"
             return Solution(status, reason, centroids=xy)
         sky = all_stars(self.catalog).apparent_to(self.observer)
+        best, cut_short = self._best(bands, sides, sky)
+        return self._cut_short(best, sky) if cut_short else self._verdict(best, sky)
+
+    def _best(
+        self, bands: tuple[tuple[float, float, float], ...], sides: tuple[int, ...], sky: GuideDatabase
+    ) -> tuple[FreeFit | None, bool]:
+        """The fit with the most evidence, and whether the limit of operations ended the search."""
         limit = log_limit(self.settings)
         best: FreeFit | None = None
         for corner_k1, widen in self._passes():
             for low, middle, high in bands:
-                guide = self._guide(sky, free_scale.depth(len(xy), self.width, self.height, low))
+                guide = self._guide(sky, free_scale.depth(len(self.xy), self.width, self.height, low))
                 for side in sides:
                     assumed = self._assumed(middle, side, corner_k1)
                     index = quad_index(self.catalog)
-                    found = free_scale.candidates(xy, assumed, index, low / middle, high / middle, widen)
+                    found = free_scale.candidates(self.xy, assumed, index, low / middle, high / middle, widen)
                     for camera, pattern, centre, extent in found:
                         if self.operations >= self.settings.max_operations_free_scale:
-                            return self._cut_short(best, sky)
+                            return best, True
                         self.trials += 1
                         self.operations += _PATTERN_WORK
                         fit = self._try(camera, pattern, centre, extent, sky.directions, guide)
@@ -121,10 +138,10 @@ class FreeSearch:
                             continue
                         best = fit
                         if self._log_chance(best) < limit - _BEYOND_DOUBT:
-                            return self._answer(best, sky)
+                            return best, False
             if best is not None and accepts(self._log_chance(best), self.settings):
                 break
-        return self._verdict(best, sky)
+        return best, False
 
     def _verdict(self, best: FreeFit | None, sky: GuideDatabase) -> Solution:
         """Result of the completed search, accepted or not."""
@@ -221,18 +238,11 @@ class FreeSearch:
                 return Solution(Status.NO_MATCH, reason, centroids=xy)
         used, chosen = fit.pairs[:, 0], fit.pairs[:, 1]
         residual = xy[used] - fit.camera.project(sky.directions[chosen] @ fit.matrix.T)
-        stars = MatchedStars(
-            xy[used],
-            sky.catalog.id[chosen],
-            sky.catalog.star_name[chosen],
-            sky.v_mag[chosen],
-            np.full(len(used), np.nan) if self.flux is None else self.flux[used],
-            residual,
-        )
+        stars = MatchedStars.of(sky, chosen, xy[used], residual, flux=None if self.flux is None else self.flux[used])
         reason = f"{len(used)} of {len(xy)} stars fit, {self.trials} patterns tried; chance {power_of_ten(chance)}"
-        left = unexplained_in(xy, Fitted(fit.pairs, residual, fit.matrix, fit.camera), guide, NO_ROWS)
-        if left.leaves_a_part:
-            return Solution(Status.NO_MATCH, f"{reason}; but {left}", centroids=xy, log_false_alarm=chance)
+        refusal = self._refusal(Fitted(fit.pairs, residual, fit.matrix, fit.camera), guide, sky)
+        if refusal:
+            return Solution(Status.NO_MATCH, f"{reason}; but {refusal}", centroids=xy, log_false_alarm=chance)
         covariance = fit.covariance
         if not corrects_aberration(self.observer):
             covariance = covariance + unknown_aberration(fit.matrix)
@@ -249,3 +259,31 @@ class FreeSearch:
             log_false_alarm=chance,
             observer=self.observer,
         )
+
+    def _refusal(self, fit: Fitted, guide: GuideDatabase, sky: GuideDatabase) -> str:
+        """Why an accepted fit is refused after all (`reason_to_refuse`); empty if it is not."""
+
+        def identify(rows: IntArray) -> IntArray:
+            if self.identify is None:
+                return self._others(rows, fit.camera, sky)
+            return np.flatnonzero(np.isin(guide.catalog.id, self.identify(rows, fit.camera)))
+
+        guide = guide.brightest(int(np.searchsorted(guide.v_mag, self.faintest_v, side="right")))
+        sigma_px = np.full(len(self.xy), STATED_PX) if self.variance_px2 is None else np.sqrt(self.variance_px2)
+        return reason_to_refuse(
+            self.xy, sigma_px, fit, guide, NO_ROWS, identify, self.light, follows_v=self.identify is not None
+        )
+
+    def _others(self, rows: IntArray, camera: Camera, sky: GuideDatabase) -> IntArray:
+        """Guide stars that the same search finds for some centroids, seen through the lens that was fitted."""
+        flux, variance = (None if column is None else column[rows] for column in (self.flux, self.variance_px2))
+        search = replace(self, xy=self.xy[rows], flux=flux, variance_px2=variance, rough=camera, trials=0)
+        best, _ = search._best((_about(camera, _SAME_LENS),), (camera.parity,), sky)
+        self.operations = search.operations
+        return best.pairs[:, 1] if best is not None and accepts(search._log_chance(best), self.settings) else NO_ROWS
+
+
+def _about(camera: Camera, error: float) -> tuple[float, float, float]:
+    """Band of the field of view about a camera with this relative error of its focal length."""
+    fov = camera.undistorted_fov_deg
+    return fov * (1.0 - error), fov, fov * (1.0 + error)

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from startracker._compiled import clock
 from startracker.centroid import Centroider
 from startracker.centroid.result import Centroids, Measured
 from startracker.core import FloatArray
@@ -24,7 +25,6 @@ from startracker.errors import InputError
 from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
 from startracker.geometry.camera import Camera
 from startracker.inputs import CheckedImage, GivenImage, check_image, saturation_message
-from startracker.kernels import clock
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.trace import Step, Trace
@@ -61,12 +61,12 @@ class FoundStars:
     stars: Measured = field(default_factory=lambda: Measured(np.empty((0, 2)), np.empty(0), np.empty(0)))
     """Centroids with flux and errors."""
     trailed: bool = False
-    """Whether the stars are taken as trails: the centroids are their positions at mid-exposure."""
+    """Whether the stars are measured as trails: the centroids are then their positions at mid-exposure."""
     saturated: int = 0
     """Number of saturated star images."""
     status: Status | None = None
     reason: str = ""
-    """Set if the image cannot be used."""
+    """Set if the image cannot be used, as is the status."""
     saturated_share: float = 0.0
     saturation_dn: float = math.inf
     """Fraction of saturated pixels, and the saturation level."""
@@ -82,7 +82,7 @@ def find_stars(
     camera: Camera | None = None,
     trace: Trace | None = None,
 ) -> FoundStars:
-    """Stars of an image under the more likely hypothesis of `star_hypotheses`, whose parameters these are."""
+    """Stars of an image under the more likely hypothesis of `star_hypotheses`, which explains the parameters."""
     return next(star_hypotheses(given, detect, measure, detection, centroid, clock, camera, trace))
 
 
@@ -98,27 +98,27 @@ def star_hypotheses(
 ) -> Iterator[FoundStars]:
     """Background, detection and centroids of an image: its stars as points and as trails, the more likely first.
 
-    The second hypothesis is only measured when it is asked for.
+    The second hypothesis is measured only on demand.
 
     Parameters
     ----------
     given : GivenImage
-        The image (H, W) in any unit, NaN for bad pixels, and what is known of its detector.
+        The image (H, W) in any unit, NaN for bad pixels, and the known properties of its detector.
     detect, measure
         Methods of `startracker.detection` and `startracker.centroid`.
     clock : Clock
-        Records the times.
+        Records the times of the stages.
     camera : Camera, optional
         If given, the image must have its shape, and trails are fitted (`startracker.trails`) with their midpoints
-        corrected for the camera's projection. Otherwise there is one hypothesis, in which `measure` takes short trails
-        as the detector finds them.
+        corrected for the camera's projection. Otherwise there is one hypothesis, in which `measure` receives short
+        trails as the detector found them.
     trace : list, optional
-        What is found is appended to it.
+        The findings are appended to it.
 
     Yields
     ------
     FoundStars
-        An image that cannot be used gives one with a status; it does not raise.
+        For an image that cannot be used it has a status; no error is raised.
     """
     trace = [] if trace is None else trace
     shape = None if camera is None else (camera.height, camera.width)
@@ -152,11 +152,12 @@ def star_hypotheses(
 def _detect(
     found: CheckedImage, detect: Detector, detection: DetectionSettings, saturation_dn: float | None, clock: Clock
 ) -> tuple[Image, Background, Spots]:
-    """Pixels (many hot pixels are masked), their background and the candidates."""
+    """Pixels (masked if most objects are hot pixels), their background and the candidates."""
     pixels = found.pixels
     background = _background(pixels, detection)
     clock.lap("background")
     spots = detect(fill_gaps(pixels) if found.gaps else pixels, background, detection, saturation_dn)
+    # Masking changes the noise of the tiles, so the background is estimated and the detector run again.
     if has_crowd(spots, pixels.size):
         pixels, hot = mask_impulses(pixels, background)
         if hot:
@@ -168,14 +169,14 @@ def _detect(
 
 
 def _background(pixels: Image, detection: DetectionSettings) -> Background:
-    """Background of a frame in tiles, or on a finer scale where the tiles are too coarse."""
+    """Background of a frame in tiles, or on a finer scale if the tiles are too coarse."""
     background = estimate(pixels, detection.background_tile_px)
     return follow_structure(pixels, detection.background_tile_px) if has_structure(pixels, background) else background
 
 
 @dataclass(frozen=True, eq=False)
 class _FrameStars:
-    """The stars of one frame as points and as trails; each is only measured on demand."""
+    """The stars of one frame as points and as trails, each of which is measured only on demand."""
 
     given: GivenImage
     checked: CheckedImage
@@ -190,7 +191,7 @@ class _FrameStars:
     trace: Trace
 
     def hypotheses(self) -> Iterator[FoundStars]:
-        """Points and trails, the more likely first; without a camera what the detector found."""
+        """Points and trails, the more likely first; without a camera, the detector's result only."""
         spots = self.spots
         if self.camera is None:
             yield self.points(spots)
@@ -198,6 +199,7 @@ class _FrameStars:
         first: Callable[[], FoundStars | None] = partial(self.points, spots)
         second: Callable[[], FoundStars | None] = self.as_trails
         if spots.are_streaks:
+            # The detector's own decision comes first; a decision about long trails needs them fitted.
             first, second = second, partial(self.points, spots.other or spots)
         elif (spots.direction_rad is not None or self._left_out_trails()) and self._trails_win():
             first, second = second, first
@@ -270,7 +272,7 @@ class _FrameStars:
 
 
 def _lines(spots: Spots | None) -> FloatArray:
-    """Midpoint x and y and half length along x and y (N, 4) of the trails that the detector found."""
+    """Midpoint x and y, and half the length along x and y, px, (N, 4) of the trails that the detector found."""
     if spots is None or spots.centre is None or spots.streak is None or not spots.streak.any():
         return np.empty((0, 4))
     return np.hstack([spots.centre, 0.5 * spots.streak])

@@ -1,4 +1,4 @@
-"""What users give: images and lists of star positions, checked and as arrays of one type."""
+"""Images and lists of star positions from users, checked and converted to arrays of one type."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker._compiled import kernel
 from startracker.arguments import real_array, real_number, switch
 from startracker.core import FloatArray, IntArray
 from startracker.detection.artefacts import mask_extremes
@@ -16,16 +17,15 @@ from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel, kernel_part
 from startracker.observer import Observer, observer_of
 from startracker.sorting import order_of_columns
 
 STATED_PRIOR_DEG = 1.0
-"""Maximum error of a prior that is given without one."""
+"""Largest error, degrees, of a prior that is given without one."""
 
 
 class GivenImage(NamedTuple):
-    """An image and what is known of it; None where nothing is.
+    """An image and its known properties; None for those that are unknown.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class GivenImage(NamedTuple):
     observer : Observer, optional
         Epoch, position and velocity at mid-exposure.
     saturation_dn, gain_e_per_dn : float, optional
-        Of the detector.
+        Properties of the detector.
     exposure_s : float, optional
         Exposure time.
     """
@@ -53,13 +53,13 @@ def given_image(
     saturation_dn: float | None = None,
     gain_e_per_dn: float | None = None,
 ) -> GivenImage:
-    """Image with what its own attributes say of it; arguments take precedence over these.
+    """Image with the properties of its own attributes; arguments take precedence over these.
 
     Parameters
     ----------
     image : array_like, or an object with the attribute `image`
-        Of an object, the attributes `observer`, `saturation_dn`, `gain_e_per_dn` and `exposure_s` are read if it has
-        them: those of a frame of the simulator, or of `startracker.LoadedImage`.
+        If it is an object, its attributes `observer`, `saturation_dn`, `gain_e_per_dn` and `exposure_s` are read if it
+        has them, such as a frame of the simulator or `startracker.LoadedImage`.
     observer, time, saturation_dn, gain_e_per_dn
         As in `StarTracker.solve`.
 
@@ -83,12 +83,12 @@ def given_image(
 
 
 def prior_of(image: Any, prior: Any, prior_deg: Any, lost_in_space: bool = False) -> tuple[Any, Any]:
-    """Prior attitude and its maximum error, degrees: those given, else those of the image's attributes.
+    """Prior attitude and its largest error, degrees: those given, or else those of the image's attributes.
 
     Raises
     ------
     InputError
-        For a prior that is given although the image shall be solved lost in space.
+        For a prior that is given although the image is to be solved lost in space.
     """
     if switch("lost_in_space", lost_in_space):
         if prior is not None:
@@ -105,7 +105,7 @@ SATURATED_SHARE = 0.05
 
 
 def plain(values: ArrayLike) -> NDArray[Any]:
-    """A masked array (`numpy.ma`) with NaN where it is masked; anything else unchanged.
+    """A masked array (`numpy.ma`) with NaN in its masked elements; anything else unchanged.
 
     Raises
     ------
@@ -125,8 +125,12 @@ def plain(values: ArrayLike) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class CheckedImage:
-    """A usable image as uint16 or float32, NaN where not finite or where light cannot cause the value (`masked` of
-    them); its range; saturated fraction and saturation level; whether it contains NaN."""
+    """A usable image.
+
+    Its pixels are uint16 or float32, with NaN where they are not finite or where light cannot cause the value; `masked`
+    is the number of the latter. Also its range, the saturated fraction and the saturation level, DN, and whether it
+    contains NaN (`gaps`).
+    """
 
     pixels: Image
     lowest: float
@@ -139,12 +143,22 @@ class CheckedImage:
     __repr__ = fields_repr
 
 
+def shape_fault(given: tuple[int, ...], shape: tuple[int, int] | None) -> str:
+    """Reason why an image of a shape is not one of a camera of `shape`, (rows, columns); empty if it is."""
+    if len(given) != 2:
+        return f"an image must have two dimensions (rows, columns); got {given}"
+    if shape is not None and given != shape:
+        size = f"the image is {given[1]}×{given[0]} pixels, the camera {shape[1]}×{shape[0]}"
+        return f"{size}: give the camera that took it"
+    return ""
+
+
 def check_image(
     image: ArrayLike, shape: tuple[int, int] | None, saturation_dn: float | None
 ) -> tuple[CheckedImage | None, str]:
-    """CheckedImage of an image, or None and the reason why it cannot be used.
+    """Check an image; returns None and the reason if it cannot be used.
 
-    The saturation level is the given one, the largest value of an unsigned type, or the image's maximum.
+    The saturation level is the given one, or the largest value of an unsigned type, or the image's maximum.
     """
     try:
         as_given = np.asanyarray(image)
@@ -153,14 +167,9 @@ def check_image(
             return None, f"an image needs real numbers; got {given.dtype}"
     except (TypeError, ValueError):
         return None, "an image must be an array of numbers"
-    if given.ndim != 2:
-        return None, f"an image must have two dimensions (rows, columns); got {given.shape}"
+    if fault := shape_fault(given.shape, shape):
+        return None, fault
     pixels = as_pixels(given)
-    if shape is not None and given.shape != shape:
-        return None, (
-            f"the image is {given.shape[1]}×{given.shape[0]} pixels, the camera {shape[1]}×{shape[0]}: "
-            "give the camera that took it"
-        )
     if not given.size:
         return None, "no pixel of the image is a finite number"
     level = saturation_dn
@@ -192,12 +201,12 @@ def saturation_message(share: float, level: float) -> str:
 
 
 SAME_STAR_PX = 0.75
-"""Two centroids closer than this are taken as the same star, detected twice."""
+"""Distance, px, below which two centroids are the same star detected twice."""
 _NO_FLUX = np.empty(0)
 
 
 def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:
-    """Usable centroids (N, 2), brightest first, and their flux, as `usable_centroids`."""
+    """Usable centroids (N, 2), brightest first, and their flux, see `usable_centroids`."""
     points, signal, _ = usable_centroids(xy, flux, camera)
     return points, signal
 
@@ -205,9 +214,10 @@ def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tu
 def usable_centroids(
     xy: ArrayLike, flux: ArrayLike | None, camera: Camera
 ) -> tuple[FloatArray, FloatArray | None, IntArray]:
-    """Usable centroids (M, 2), brightest first, their flux and rows: finite, on the image, without duplicates.
+    """Usable centroids (M, 2), brightest first, their flux, and their indices in the list.
 
-    A star whose flux is not a positive number is taken as the faintest.
+    Usable are finite positions on the image, without duplicates. A star whose flux is not a positive number counts as
+    the faintest.
     """
     try:
         points = np.array(real_array("centroids", plain(xy), finite=False), order="C")
@@ -226,8 +236,10 @@ def usable_centroids(
 
 
 def stated_variance(sigma_px: ArrayLike | None, given: int, rows: IntArray) -> FloatArray | None:
-    """Variance (M,), pixels², of the usable ones, by `rows` (M,), of all given centroids, from the stated standard
-    errors (one per centroid, or one for all); None if none are stated.
+    """Variance (M,), px², of the usable centroids; None if no standard errors are stated.
+
+    `sigma_px` holds one standard error per given centroid, or one for all; `rows` (M,) are the indices of the usable
+    ones.
 
     Raises
     ------
@@ -247,8 +259,11 @@ def stated_variance(sigma_px: ArrayLike | None, given: int, rows: IntArray) -> F
 
 @kernel
 def _usable(points: FloatArray, flux: FloatArray, width: int, height: int) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Usable points (M, 2) of all (N, 2), their flux, empty if none is positive, and rows: on the image as in
-    `Camera.contains`, brightest first, without duplicates."""
+    """Usable points (M, 2) of all (N, 2), their flux, and their indices; see `usable_centroids`.
+
+    They are on the image as in `Camera.contains`, brightest first, without duplicates. The flux is empty if none is
+    positive.
+    """
     rows, count, faintest = np.empty(len(points), np.int64), 0, math.inf
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]
@@ -260,9 +275,10 @@ def _usable(points: FloatArray, flux: FloatArray, width: int, height: int) -> tu
     sorts, keys = faintest < math.inf, np.empty((3, count))
     for k in range(count):
         value = flux[rows[k]] if sorts else 0.0
+        # Stars without a positive flux are sorted behind all others, at half the faintest flux.
         keys[0, k] = -value if 0.0 < value < math.inf else -0.5 * faintest
         keys[1, k], keys[2, k] = points[rows[k], 1], points[rows[k], 0]
-    # ties are broken by position, so that the order of the input does not matter
+    # Ties are ordered by position, so that the order of the input does not matter.
     order, xy = order_of_columns(keys) if sorts else np.arange(count), np.empty((count, 2))
     for k in range(count):
         xy[k, 0], xy[k, 1] = keys[2, order[k]], keys[1, order[k]]
@@ -275,7 +291,7 @@ def _usable(points: FloatArray, flux: FloatArray, width: int, height: int) -> tu
     return xy[:left], signal[: left if sorts else 0], chosen[:left]
 
 
-@kernel_part
+@kernel
 def _first_of_each(points: FloatArray) -> NDArray[np.bool_]:
     """Mask (N,) of points without an earlier point within `SAME_STAR_PX` on both axes."""
     alone, x = np.ones(len(points), np.bool_), np.empty((1, len(points)))

@@ -99,6 +99,8 @@ def export_c(
     if not (isinstance(arithmetic, FixedArithmetic) and isinstance(sky, FixedSky)):
         raise InputError("only integer tables can be exported; build them with FixedArithmetic")
     tolerance, window = _pair_window(tracker.tables, arithmetic, limits)
+    # The first side of a triangle may be any pair of a window in either order, for which the partners of one star are
+    # compared with those of the other.
     triangles = max_stars * (max_stars - 1) * (max_stars - 2) // 6
     most_steps = triangles * 2 * window * _most_partners(tracker.tables, tolerance) ** 2
     sizes = _Sizes(max_stars, max_triads, max_groups, tolerance, window)
@@ -129,6 +131,7 @@ def _pair_window(tables: TriadTables, arithmetic: FixedArithmetic, limits: Triad
     if len(tables) == 0 or len(tables.first) == 0:
         raise InputError("the sub-catalogue has no pair of stars; raise the magnitude limit or the maximum separation")
     tolerance = arithmetic.separation_of(limits.separation_tolerance_deg)
+    # Points may have any separation that the format can express.
     every = np.arange(SEPARATION.largest + 1)
     low, high = tables.windows(every, np.full_like(every, tolerance))
     window = int((high - low).max())
@@ -145,7 +148,7 @@ def _constants(
 ) -> dict[str, int]:
     """Numbers of the header by name, without the prefix."""
     tables, check = tracker.tables, tracker.verification
-    # the same computation as `combine_separation`, which this package cannot import
+    # The same computation as `combine_separation`, with the scale in the format of the C constants.
     scale = SCALE.encode(tracker.camera.scale_deg)
     probe = arithmetic.image([[0.0, 0.0], [limits.combine_px, 0.0], [0.0, limits.combine_px]], scale)
     combine = int(arithmetic.image_separations(probe, [0, 0], [1, 2]).max())
@@ -225,5 +228,6 @@ def _most_partners(tables: TriadTables, tolerance: int) -> int:
     star = np.concatenate([tables.first, tables.second])
     separation = np.concatenate([tables.separation, tables.separation])
     order = np.lexsort((separation, star))
+    # One ascending sequence for all stars: separations have 16 bits, so that no window reaches the next star.
     codes = star[order] * (1 << 20) + separation[order]
     return int((np.searchsorted(codes, codes + 2 * tolerance, side="right") - np.arange(len(codes))).max())

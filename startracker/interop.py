@@ -1,6 +1,6 @@
 """Objects of astropy and SciPy in the public interface: ``Quantity``, ``Time``, ``SkyCoord`` and ``Rotation``.
 
-They are recognised by their attributes, so that nothing needs to be imported; plain numbers are passed through.
+They are recognised by their attributes, so that neither package needs to be imported; plain numbers are passed through.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from startracker.errors import InputError
 
 
 def plain(given: Any, unit: str, name: str) -> Any:
-    """Value in a unit of an astropy ``Quantity`` (or ``Angle``); anything else is returned unchanged.
+    """Value of an astropy ``Quantity`` (or ``Angle``) in a unit; anything else is returned unchanged.
 
     Raises
     ------
@@ -64,8 +64,9 @@ def is_rotation(given: Any) -> bool:
 
 
 def rotation_quat(given: Any) -> NDArray[np.float64]:
-    """Quaternion (x, y, z, w), in the convention of `Attitude`, of a single SciPy ``Rotation`` with
-    v_target = rotation.apply(v_source). It is the conjugate of SciPy's quaternion.
+    """Quaternion (x, y, z, w), in the convention of `Attitude`, of a single SciPy ``Rotation``.
+
+    It is the conjugate of SciPy's quaternion, and v_target = rotation.apply(v_source).
 
     Raises
     ------

@@ -8,36 +8,36 @@ from typing import Any
 
 import numpy as np
 
+from startracker._compiled import kernel_part
 from startracker.arguments import of_kind, real_array, real_number
 from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray
 from startracker.display import described
 from startracker.ephemeris import barycentric, timescale
 from startracker.errors import InputError
 from startracker.interop import is_time, julian_year, plain
-from startracker.kernels import kernel_part
 
 EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
-"""Orbital speed of the Earth, and of a satellite in a low Earth orbit."""
+"""Orbital speeds of the Earth, and of a satellite in a low Earth orbit, km/s."""
 _OBLIQUITY_RAD = math.radians(23.4393)
 _POLE_Y, _POLE_Z = -math.sin(_OBLIQUITY_RAD), math.cos(_OBLIQUITY_RAD)
-"""Ecliptic pole; its x is 0."""
+"""Components of the ecliptic pole; its x is 0."""
 _EARTH_PART, _ORBIT_PART = (EARTH_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 2.0, (ORBIT_KM_S / SPEED_OF_LIGHT_KM_S) ** 2 / 3.0
 ABERRATION_SCALE_SIGMA = math.sqrt(_EARTH_PART + _ORBIT_PART)
-"""Standard deviation of the relative change of a field's scale by unknown aberration, in the ecliptic."""
+"""Standard deviation of the relative change of a field's scale by unknown aberration, for a field in the ecliptic."""
 _FASTEST_KM_S, _FARTHEST_AU, _LONGEST_YEARS = 1000.0, 1000.0, 10_000
-"""Upper limits: the fastest spacecraft passed the Sun at 192 km/s, the most distant is at 170 au."""
+"""Upper limits for plausibility: the fastest spacecraft passed the Sun at 192 km/s, the most distant is at 170 au."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """Epoch, and barycentric state as far as it is known.
+    """Epoch, and barycentric position and velocity if they are known.
 
     Parameters
     ----------
     epoch_jyear : float or astropy Time
         Julian epoch (TT) of mid-exposure, for space motion. Stored as a float.
     velocity_km_s : array or astropy Quantity, shape (3,), optional
-        Barycentric velocity, ICRS, for the aberration of light. Stored in km/s. None: not known; aberration is then not
+        Barycentric velocity, ICRS, for the aberration of light. Stored in km/s. None if unknown; aberration is then not
         corrected, and covariances include it. An observer at rest at the barycentre has the velocity (0, 0, 0).
     position_au : array or astropy Quantity, shape (3,)
         Barycentric position, ICRS, for the annual parallax. Stored in au.
@@ -67,7 +67,7 @@ class Observer:
     def on_earth(cls, time: Any, location: Any = None) -> Observer:
         """Observer on the ground, by ERFA's ``apco13``.
 
-        UT1 is taken as UTC, and the pole as fixed: errors of 5 cm/s and 0.5 km. No file is downloaded. Without a
+        UT1 is approximated by UTC, and the pole is fixed: errors of 5 cm/s and 0.5 km. No file is downloaded. Without a
         location the observer moves with the Earth's centre (DE421): aberration to 0.3″, position unknown.
 
         Parameters
@@ -134,9 +134,9 @@ class Observer:
 
 @kernel_part
 def aberrated(x: float, y: float, z: float, beta: tuple[float, float, float]) -> tuple[float, float, float]:
-    """`aberrate` of one vector of any length, for a velocity in units of that of light, within kernels."""
+    """`aberrate` for one vector of any length in kernels, for a velocity in units of that of light."""
     inverse_gamma = math.sqrt(1.0 - beta[0] * beta[0] - beta[1] * beta[1] - beta[2] * beta[2])
-    # a unit vector u becomes a vector of length 1 + u·β
+    # The relativistic formula maps a unit vector u to a vector of length 1 + u·β, hence the division by it.
     length, along = math.sqrt(x * x + y * y + z * z), x * beta[0] + y * beta[1] + z * beta[2]
     shrink = 1.0 / (length + along)
     forward, kept = (length + along * (1.0 / (1.0 + inverse_gamma))) * shrink, inverse_gamma * shrink
@@ -159,7 +159,8 @@ def aberrate(directions: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
 
 
 def unknown_aberration(matrix: FloatArray) -> FloatArray:
-    """Covariance (3, 3), rad², that an unknown observer velocity adds to an attitude matrix (3, 3), ICRS to camera.
+    """Covariance (3, 3), rad², that an unknown velocity of the observer adds to an attitude matrix (3, 3), ICRS to
+    camera.
 
     To first order in β, aberration rotates the field around the boresight b by θ = b × β, up to 20.5″ from the Earth's
     motion. Its direction in the ecliptic is unknown: the covariance of β is (β_E²/2) (I − n nᵀ), with the ecliptic pole
@@ -179,7 +180,7 @@ def corrects_aberration(observer: Observer | None) -> bool:
 
 
 def observer_of(observer: Observer | None, time: Any) -> Observer | None:
-    """The observer of an image: as given, or with only its epoch known; None if neither is given.
+    """The observer of an image: the given one, or one with only its epoch known; None if neither is given.
 
     Raises
     ------

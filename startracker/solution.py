@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,11 @@ from startracker.interop import is_skycoord
 from startracker.observer import Observer, aberrate, corrects_aberration
 from startracker.trace import Step
 
+if TYPE_CHECKING:
+    from startracker.catalog.guide import GuideDatabase
+
 _NAMED_STARS = 8
-"""Stars named in the chart of a notebook, the brightest."""
+"""Number of the brightest stars that are named in the chart of a notebook."""
 _LONGEST_REASON = 120
 
 
@@ -67,8 +70,8 @@ class MatchedStars:
         Whether the star was used in the attitude fit; stars with larger residuals than noise explains (blends, nearby
         defective pixels) are identified but not used. By default all.
     sigma_px : array, optional
-        Standard error of each centroid on one axis, pixels, as stated by the centroider and including that of the
-        catalogue; NaN if not known.
+        Standard error of each centroid on one axis, px, as stated by the centroider, including that of the catalogue;
+        NaN if unknown.
     """
 
     xy: FloatArray
@@ -102,6 +105,43 @@ class MatchedStars:
         if self.used.all():
             return self
         return MatchedStars(*(getattr(self, column.name)[self.used] for column in fields(self)))
+
+    @classmethod
+    def of(
+        cls,
+        guide: GuideDatabase,
+        rows: NDArray[np.int64],
+        xy: FloatArray,
+        residual_px: FloatArray,
+        *,
+        flux: FloatArray | None = None,
+        used: NDArray[np.bool_] | None = None,
+        sigma_px: FloatArray | None = None,
+    ) -> MatchedStars:
+        """Stars identified as guide stars.
+
+        Parameters
+        ----------
+        guide : GuideDatabase
+            The guide stars.
+        rows : int array, shape (M,)
+            Row of each star among them.
+        xy, residual_px : arrays, shape (M, 2)
+            As in `MatchedStars`.
+        flux, used, sigma_px : arrays, optional
+            As in `MatchedStars`; by default not known, all, and not known.
+        """
+        count = len(rows)
+        return cls(
+            xy=xy,
+            catalog_id=guide.catalog.id[rows],
+            name=guide.catalog.star_name[rows],
+            v_mag=guide.v_mag[rows],
+            flux=np.full(count, np.nan) if flux is None else flux,
+            residual_px=residual_px,
+            used=np.ones(count, np.bool_) if used is None else used,
+            sigma_px=np.full(count, np.nan) if sigma_px is None else sigma_px,
+        )
 
     @classmethod
     def none(cls) -> MatchedStars:
@@ -305,7 +345,8 @@ class Solution:
         seen = attitude.inverse.apply(camera.unproject(_two_columns(xy, "pixels")))
         velocity = self._velocity_km_s(observer)
         if velocity is not None:
-            seen = aberrate(seen, -velocity)  # the Lorentz boost back
+            # Aberration is a Lorentz boost; the opposite velocity inverts it.
+            seen = aberrate(seen, -velocity)
         return np.degrees(np.stack(direction_to_radec(seen), axis=1))
 
     def pixel_of(self, ra_deg: Any, dec_deg: Any = None, observer: Observer | None = None) -> FloatArray:

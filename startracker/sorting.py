@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel, kernel_part, pixel_kernel
+from startracker._compiled import kernel, kernel_part
 
 _INFINITE_BITS = int(np.float32(np.inf).view(np.int32))
 
@@ -35,16 +35,17 @@ def sort(values: NDArray[Any]) -> None:
         values[parent] = value
 
 
-@pixel_kernel
+@kernel
 def ranked(values: NDArray[np.float32], rank: int) -> tuple[float, float]:
-    """Values at a rank and at the next one of finite numbers if they were sorted; the last has itself as the next.
+    """Value at a rank, and at the next rank, that finite numbers would have if they were sorted.
 
-    A limit between both is bisected by counting, over the bits of numbers in ascending order: some twenty passes
-    without a branch take a quarter of the time of a sort.
+    The last value is its own successor. A limit between the two is bisected by counting, over the bit patterns of
+    numbers in ascending order: some twenty passes without a branch take a quarter of the time of a sort.
     """
     low, high, limit, count = -_INFINITE_BITS - 1, _INFINITE_BITS, np.float32(np.inf), np.int32(len(values))
     while low < high and count != rank + 1:
         middle, below = (low + high) >> 1, np.int32(0)
+        # Negative floats have bit patterns in descending order; flipping all bits but the sign makes them ascending.
         trial = np.int32(middle if middle >= 0 else middle ^ 0x7FFFFFFF).view(np.float32)
         for i in range(np.uint64(len(values))):
             below = np.int32(below + np.int32(values[i] <= trial))
@@ -62,7 +63,7 @@ def ranked(values: NDArray[np.float32], rank: int) -> tuple[float, float]:
 
 @kernel
 def median(values: NDArray[np.float64]) -> float:
-    """Median of numbers, which are sorted in place; NaN if one is."""
+    """Median of numbers, which are sorted in place; NaN if one of them is NaN."""
     for value in values:
         if np.isnan(value):
             return np.nan
@@ -72,7 +73,7 @@ def median(values: NDArray[np.float64]) -> float:
 
 
 def finite_medians(values: NDArray[np.float64]) -> tuple[float, ...]:
-    """Medians of the columns (K,) of a few rows (N, K), of those rows that are finite; NaN where there is none.
+    """Medians of the columns (K,) of a few rows (N, K), over the rows that are finite; NaN if there are none.
 
     For a handful of numbers Python's lists take a tenth of the time of `numpy.median`.
     """
@@ -83,7 +84,7 @@ def finite_medians(values: NDArray[np.float64]) -> tuple[float, ...]:
 
 @kernel_part
 def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
-    """Stable ascending order of a few numbers: indices into `order`."""
+    """Write the indices of a few numbers in stable ascending order to `order`: insertion sort."""
     for last in range(len(values)):
         at = last
         while at > 0 and values[last] < values[order[at - 1]]:
@@ -94,8 +95,12 @@ def order_of(values: NDArray[np.float64], order: NDArray[np.int64]) -> None:
 
 @kernel
 def order_of_columns(keys: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Stable ascending order (N,) of columns of numbers (K, N) without NaN, by the first row, then by the next ones:
-    Shell's sort (Knuth 1998, The Art of Computer Programming 3, section 5.2.1)."""
+    """Stable ascending order (N,) of the columns of numbers (K, N) without NaN, by the first row, then by the next
+    ones.
+
+    Shell's sort (Knuth 1998, The Art of Computer Programming 3, section 5.2.1); ties are ordered by index, which makes
+    it stable.
+    """
     count = keys.shape[1]
     order, gap = np.arange(count), 1
     while gap < count // 3:
@@ -114,6 +119,7 @@ def order_of_columns(keys: NDArray[np.float64]) -> NDArray[np.int64]:
 @kernel_part
 def _is_before(one: int, other: int, keys: NDArray[np.float64]) -> bool:
     before, row = one < other, len(keys) - 1
+    # From the last key to the first, so that the first one that differs decides.
     while row >= 0:
         if keys[row, one] != keys[row, other]:
             before = keys[row, one] < keys[row, other]

@@ -1,4 +1,4 @@
-"""Explanation of a solve, stage by stage: what was found, tried and rejected."""
+"""Explanation of a solve, stage by stage: findings, attempts and rejections."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeVar, overload
 
 @dataclass(frozen=True)
 class Step:
-    """One finding of a stage.
+    """One finding of a stage of a solve.
 
     Parameters
     ----------
@@ -24,12 +24,14 @@ class Step:
 
 
 Trace = list[Step | Iterable[Step] | Callable[[], Step | Iterable[Step]]]
-"""Findings in the order in which the stages of a solve append them; a function formats its text when it is read."""
+"""Findings in the order in which the stages of a solve append them; a function creates its text when it is read."""
 Finding = TypeVar("Finding", Step, str)
 
 
 class Steps(Sequence[Finding]):
-    """Findings in order. The text is formatted when it is first read, as most callers only need the attitude.
+    """Findings in order.
+
+    The text is created when it is first read, because most callers need only the attitude.
 
     Parameters
     ----------

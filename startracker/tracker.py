@@ -107,7 +107,7 @@ class StarTracker:
         self.detection = settings_or_default("detection", detection, DetectionSettings)
         self.centroid = settings_or_default("centroid", centroid, CentroidSettings)
         self.identification = settings_of(identifier, identification)
-        self._detect = lookup("detectors", detecting.DETECTORS, detector)
+        self._detect = lookup("detectors", detecting.METHODS, detector)
         self._measure = lookup("centroiders", centroiding.METHODS, centroider)
         self._identify = lookup("identifiers", identifying.METHODS, identifier)
         self._estimate = lookup("estimators", estimating.METHODS, estimator)
@@ -282,10 +282,10 @@ class StarTracker:
         """Solution of centroids; what was tried is appended to the trace."""
         free_fit: Solution | None = None
         if self.focal_error > 0.0 and len(stars.xy) >= FEWEST_MATCHED:
-            free_fit = self._free_fit(stars, observer, clock, trace)
+            free_fit = self._free_fit(stars, guide, observer, clock, trace)
             if passes_confirmation_threshold(free_fit, self.identification):
                 return replace(free_fit, times_ms=clock.times_ms())
-        observed, usable, directions = self._observed(stars)
+        observed, usable, directions = self._observed(stars, self.camera)
         if len(usable) > len(observed.vectors):
             text = f"the {len(observed.vectors)} brightest of {len(usable)} centroids are used (max_centroids)"
             trace.append(Step("identification", text))
@@ -340,27 +340,37 @@ class StarTracker:
         stars, guide = field.stars, field.guide
 
         def identify(rows: IntArray) -> IntArray:
-            observed, _, _ = self._observed(selected(stars, rows))
-            return self._identify(observed, guide, self.identification, None).pairs[:, 1]
+            return self._alone(selected(stars, rows), guide, fit.camera)
 
         bodies = solution.bodies.centroid
         return reason_to_refuse(stars.xy, stated_errors(stars), fit, guide, bodies, identify, stars.light)
 
-    def _free_fit(self, stars: Measured, observer: Observer | None, clock: Clock, trace: Trace) -> Solution:
+    def _alone(self, stars: Measured, guide: GuideDatabase, camera: Camera) -> IntArray:
+        """Guide stars with which some centroids are identified by themselves, seen by a camera."""
+        return self._identify(self._observed(stars, camera)[0], guide, self.identification, None).pairs[:, 1]
+
+    def _free_fit(
+        self, stars: Measured, guide: GuideDatabase, observer: Observer | None, clock: Clock, trace: Trace
+    ) -> Solution:
         """Solution with fitted focal length, within its error."""
+
+        def identify(rows: IntArray, camera: Camera) -> IntArray:
+            return guide.catalog.id[self._alone(selected(stars, rows), guide, camera)]
+
         stated, settings = stars.variance_px2, self.identification
         search = FreeSearch.about(self.camera, stars.xy, stars.flux, stated, self.catalog, settings, observer)
-        search = replace(search, estimator=self.direction_estimator)
+        search.estimator, search.light, search.identify = self.direction_estimator, stars.light, identify
+        search.faintest_v = float(guide.v_mag[-1])
         found, band = search.run_about(self.focal_error)
         clock.lap("free_scale")
         trace.append(search_step(search.trials, (band,), (self.camera.parity,)))
         trace.append(Step("identification", found.reason))
         return found
 
-    def _observed(self, stars: Measured) -> tuple[Observed, IntArray, FloatArray]:
+    def _observed(self, stars: Measured, camera: Camera) -> tuple[Observed, IntArray, FloatArray]:
         """Directions for the identification, the centroids that have one, and those of all centroids."""
         stated = stated_errors(stars)
-        camera, most = self.camera, self.identification.max_centroids
+        most = self.identification.max_centroids
         directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
         signal = None if stars.flux is None else stars.flux[usable[:most]]
         return Observed(vectors[:most], signal, sigma[:most]), usable, directions

@@ -1,7 +1,7 @@
 """World coordinate system of a solved image: a TAN header, with SIP polynomials for lens distortion.
 
 A fisheye uses FITS' zenithal equidistant projection (ARC) or, if it is equisolid, the equal-area one (ZEA): with r = θ
-and r = 2 sin(θ/2) these are the ideal projections, and reach 90° and beyond.
+and r = 2 sin(θ/2) these are the ideal projections, and extend to 90° and beyond.
 
 The tangent point is the boresight at the principal point (FITS counts pixels from 1; here the first pixel's centre is
 (0, 0)). The header maps pixels to directions of the attitude's source frame. With the observer's velocity these
@@ -40,7 +40,7 @@ _WANTED_PX = 0.002
 _WORST_PX = 0.05
 _ORDERS = (3, 5, 7, 9, 11, 13)
 _STANDARD_ORDER = 9
-"""Highest order of SIP; astropy reads higher ones, which are only used if 1″ needs them."""
+"""Highest order of SIP; astropy reads higher ones, which are used only if 1″ requires them."""
 _SIP_TERM = re.compile(r"(A|B|AP|BP)_\d+_(\d+)")
 _CODES = {"pinhole": "TAN", "fisheye": "ARC", "equidistant": "ARC", "equisolid": "ZEA"}
 
@@ -140,8 +140,10 @@ def wcs_header(
 
 
 def _bottom_up(header: dict[str, Any], height: int) -> dict[str, Any]:
-    """The same world coordinates for reversed rows: v becomes −v, and with it the sign of A's terms that are odd in v
-    and of B's that are even."""
+    """The same world coordinates for reversed rows.
+
+    v becomes −v, and with it the sign of those terms of A that are odd in v and of those of B that are even.
+    """
     turned = header | {"CRPIX2": height + 1.0 - header["CRPIX2"]}
     turned |= {key: -header[key] for key in ("CD1_2", "CD2_2")}
     for key, value in header.items():
@@ -152,8 +154,10 @@ def _bottom_up(header: dict[str, Any], height: int) -> dict[str, Any]:
 
 
 def _catalogued(apparent: Attitude, velocity_km_s: FloatArray) -> tuple[Attitude, float]:
-    """Attitude whose boresight is the catalogue position of the apparent boresight, rotated by the smallest angle, and
-    the ratio of catalogue to apparent angles, γ (1 + β·n)."""
+    """Attitude whose boresight is the catalogue position of the apparent boresight, and a scale.
+
+    The attitude is rotated by the smallest angle. The scale is the ratio of catalogue to apparent angles, γ (1 + β·n).
+    """
     seen = apparent.boresight
     catalogued = aberrate(seen[None, :], -velocity_km_s)[0]
     axis = np.cross(catalogued, seen)
@@ -165,14 +169,16 @@ def _catalogued(apparent: Attitude, velocity_km_s: FloatArray) -> tuple[Attitude
 
 
 def _still(vectors: FloatArray, turn: FloatArray, velocity_km_s: FloatArray) -> FloatArray:
-    """Catalogue directions, in axes of the catalogued attitude, of apparent directions `vectors` (N, 3) in camera
-    axes."""
+    """Catalogue directions (N, 3), in axes of the catalogued attitude, for apparent `vectors` (N, 3) in camera axes."""
     return np.asarray(aberrate(vectors, -velocity_km_s) @ turn.T)
 
 
 def _sip(camera: Camera, rays: Rays | None, scale: float) -> tuple[dict[str, Any], float] | None:
-    """SIP coefficients of distortion and aberration, forward and inverse, and the maximum error of the forward ones in
-    pixels; None if there is nothing to correct."""
+    """SIP coefficients of distortion and aberration, forward and inverse, and the largest error of the forward ones,
+    px.
+
+    None if there is nothing to correct.
+    """
     if camera.distortion.is_zero:
         if rays is None:
             return None
@@ -209,8 +215,10 @@ def _nodes(count: int) -> FloatArray:
 
 
 def _both_ways(camera: Camera, steps: FloatArray, rays: Rays | None, scale: float) -> tuple[FloatArray, FloatArray]:
-    """Distorted and ideal positions (N, 2) of a grid over the image, pixels from the principal point; an ideal pixel is
-    `scale` times the angle of a camera pixel."""
+    """Distorted and ideal positions (N, 2) of a grid over the image, px from the principal point.
+
+    An ideal pixel is `scale` times the angle of a camera pixel.
+    """
     x, y = (side * (steps + 1.0) / 2.0 - 0.5 for side in (camera.width, camera.height))
     seen = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     vectors = camera.unproject(seen)
@@ -243,14 +251,16 @@ def _fit(
     truth: FloatArray,
     enough_px: float,
 ) -> tuple[NDArray[np.int64], FloatArray, float]:
-    """Powers (T, 2), coefficients (T, 2) and maximum error of the lowest-order polynomial accurate to 0.002 px.
+    """Powers (T, 2), coefficients (T, 2) and largest error of the lowest-order polynomial that is accurate to 0.002 px.
 
-    Fitted to the shifts at `points`, tested at `check`; orders beyond SIP's are only used until `enough_px` is reached.
+    It is fitted to the shifts at `points` and tested at `check`; orders above those of SIP are used only until
+    `enough_px` is reached.
     """
     size = float(np.abs(points).max())
     best: tuple[NDArray[np.int64], FloatArray, float] | None = None
     for order in _ORDERS:
         powers = np.array([(p, q) for p in range(order + 1) for q in range(order + 1 - p) if p + q >= 1])
+        # Points are scaled to ±1, which keeps high powers well conditioned, and the coefficients are scaled back.
         solution, *_ = lstsq(_terms(points / size, powers), shift, lapack_driver="gelsy", check_finite=False)
         error = float(np.abs(_terms(check / size, powers) @ solution - truth).max())
         if best is None or error < best[2]:

@@ -1,7 +1,6 @@
 """Settings of all tests."""
 
 import gc
-import os
 import time
 
 import pytest
@@ -9,7 +8,7 @@ import slow_tests
 from hypothesis import settings
 from undrawn import undrawn
 
-from simulator.study.report import drawing
+from simulator.study.pages import drawing
 
 # The same examples every time, so that a green run stays green; make test-all looks for new ones. Without a time limit
 # of each: a loaded machine would exceed any.
@@ -81,17 +80,6 @@ def process_of_pages():
         before = drawing.in_a_process
         patch.setattr(drawing, "in_a_process", drawing.answer)
         yield before
-
-
-@pytest.fixture(autouse=True, scope="session")
-def one_core_each():
-    """The processes of pytest-xdist share the cores: none of them starts another that compiles beside it."""
-    with pytest.MonkeyPatch.context() as patch:
-        if "PYTEST_XDIST_WORKER" in os.environ:
-            from simulator.study.trials import warm_up
-
-            patch.setattr(warm_up, "_cores", lambda: 1)
-        yield
 
 
 @pytest.fixture

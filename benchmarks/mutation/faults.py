@@ -103,6 +103,8 @@ class _Roles:
         a single time is the mistake that matters."""
         self.guards: set[ast.expr] = set()
         """Guards against rounding: a tenth more changes nothing by design."""
+        self.checks: set[ast.expr] = set()
+        """``strict`` of `zip`: like an assertion, a check of the program itself, which never fails in a right one."""
         self.decimals = set(_names_of_decimals(tree))
         """Names of constants of the module that are decimal numbers."""
         for node in ast.walk(tree):
@@ -111,6 +113,8 @@ class _Roles:
                     self.indices.update(part for part in parts if _is_count(part))
                 case ast.Subscript(slice=part) if _is_count(part):
                     self.indices.add(part)
+                case ast.Call(func=ast.Name(id="zip"), keywords=[ast.keyword(arg="strict", value=value)]):
+                    self.checks.add(value)
                 case ast.For(target=ast.Name(id="_"), iter=ast.Call(func=ast.Name(id="range"), args=[count])):
                     self.repeats.add(count)
                 case ast.Compare(left=left, comparators=others):
@@ -188,7 +192,7 @@ def _changes(node: ast.expr, roles: _Roles) -> Iterator[ast.expr]:
             yield ast.BinOp(node.left, _ARITHMETIC[type(operator)], node.right)
         case ast.UnaryOp(op=ast.USub() | ast.Not(), operand=operand):
             yield operand
-        case ast.Constant() if node in roles.guards:
+        case ast.Constant() if node in roles.guards or node in roles.checks:
             return
         case ast.Constant(value=value) if node in roles.repeats:
             yield from (ast.Constant(1),) if value != 1 else ()

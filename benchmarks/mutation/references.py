@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-_COMPILED = {"kernel", "kernel_part", "pixel_kernel", "kernel_with", "overload", "intrinsic"}
+_COMPILED = {"kernel", "kernel_part", "kernel_with", "overload", "intrinsic"}
 """Decorators of functions that run as machine code, which a profile of Python does not see."""
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -16,11 +16,10 @@ def main() -> None:
 
 
 def _run(arguments: list[str], *, entry: bool = False) -> int:
-    """Exit status of a command; `entry` announces the compilation of kernels on a terminal."""
+    """Exit status of a command; `entry` prepares the streams of the process."""
     try:
         if entry:
             from simulator.cli.streams import prepare_streams, say
-            from startracker.compilation import progress
             from startracker.errors import InputError
 
             try:
@@ -28,7 +27,6 @@ def _run(arguments: list[str], *, entry: bool = False) -> int:
             except InputError as error:
                 say(error)
                 return 2
-            progress.announce("solve" if arguments[:1] == ["solve"] else "run")
         from simulator.cli.application import run_application
 
         return run_application(arguments)

@@ -118,8 +118,15 @@ def schema_command() -> None:
     raise typer.Exit(schema())
 
 
+def warm_up_command() -> None:
+    """Compile the kernels ahead of their first use, on all cores; once for an installation."""
+    from simulator.cli.warm_up_command import warm_up
+
+    raise typer.Exit(warm_up())
+
+
 _SIMULATE, _SOLVE, _RESULTS = "Simulate", "Solve frames and photographs", "Results"
-_SCENARIOS, _FLIGHT = "Scenarios", "Flight software"
+_SCENARIOS, _FLIGHT, _INSTALLATION = "Scenarios", "Flight software", "Installation"
 _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
     ("run", as_command(RunRequest, "run_command"), _SIMULATE, "boresight run cubesat --trials 200"),
     ("render", as_command(RenderRequest, "render_command"), _SIMULATE, "boresight render moon --preview moon.png"),
@@ -135,6 +142,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str, str], ...] = (
     ("validate", validate_command, _SCENARIOS, "boresight validate my.yaml"),
     ("show", show_command, _SCENARIOS, "boresight show cubesat > my.yaml"),
     ("schema", schema_command, _SCENARIOS, "boresight schema > schema.json"),
+    ("warm-up", warm_up_command, _INSTALLATION, "boresight warm-up"),
     ("export-c", as_command(ExportRequest, "c_source"), _FLIGHT, "boresight export-c tracker/ --scenario cubesat"),
 )  # fmt: skip
 """Name, function, group and example of each command."""

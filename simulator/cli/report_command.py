@@ -21,9 +21,10 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
         Where the folder holds no run, or a file cannot be read or written.
     """
     from simulator.study.folder_lock import folder_lock
-    from simulator.study.report.drawing import drawn_apart
-    from simulator.study.report.page import build_report, html_of
-    from simulator.study.report.pdf import pdf_of
+    from simulator.study.pages.drawing import drawn_apart
+    from simulator.study.pages.html import html_of
+    from simulator.study.pages.pdf import pdf_of
+    from simulator.study.report.page import report_page
     from simulator.study.trials.checked_files import fault_of
     from simulator.study.trials.columns import Columns
 
@@ -43,14 +44,14 @@ def report_of_folder(folder: Path, pdf: bool, budget: Path | None) -> int:
         columns = Columns(files["trials.parquet"])
     except (OSError, ValueError) as error:  # pyarrow's errors are of these classes
         raise InputError(f"{files['trials.parquet']}: cannot be read ({str(error).splitlines()[0]})") from error
-    report = build_report(scenario, summary, columns, budget=added)
-    pages: dict[str, str | bytes] = {"report.html": drawn_apart(html_of, report)}
+    page = report_page(scenario, summary, columns, budget=added)
+    written: dict[str, str | bytes] = {"report.html": drawn_apart(html_of, page)}
     if pdf:
-        pages["report.pdf"] = drawn_apart(pdf_of, report)
+        written["report.pdf"] = drawn_apart(pdf_of, page)
     with folder_lock(folder):
-        for name, page in pages.items():
-            write_atomically(folder / name, page)
-    print(f"{folder}: {', '.join(pages)}")
+        for name, content in written.items():
+            write_atomically(folder / name, content)
+    print(f"{folder}: {', '.join(written)}")
     return 0
 
 

@@ -324,7 +324,7 @@ class ExportRequest:
         option(
             "--arithmetic",
             "KIND",
-            "fixed: integers; float: attitude in single precision; default: that of the scenario.",
+            "fixed: integers; float: attitude in single precision; default: as in the scenario.",
             _FLIGHT,
         ),
     ] = None

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least, processes
 from simulator.cli.requests import RunRequest
-from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
+from simulator.cli.terminal import open_console, print_table, progress_bar
 from simulator.cli.verdicts import outcome_line, print_inconsistency, print_judgement
+from simulator.study.pages.parts import unphysical_notes
 from simulator.study.run import RESULT_FILES, Study, run
 from simulator.study.statistics import AXES, BODY_AXES
-from simulator.study.texts import deg_text
+from simulator.study.texts import axis_name, deg_text
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,13 +63,13 @@ def _print(study: Study, folder: Path, console: Console) -> None:
     low, high = summary["identification_rate_interval95"]
     if summary["interrupted"]:
         console.print(f"Interrupted: {summary['trials']} of {summary['requested']} trials are finished and kept.")
-    for reason in summary["unphysical"]:
-        console.print(f"Unphysical, and allowed by the scenario: {reason}")
+    for note in unphysical_notes(summary["unphysical"]):
+        console.print(note, markup=False)
     rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
         rows.append((
-            axis_title(axis),
+            axis_name(axis),
             *(deg_text(e[key]) for key in ("mean", "std", "rms", "p997")),
             " to ".join(map(deg_text, e["p997_interval95"])),
             deg_text(e["max"]),

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 from simulator.checks import load_scenario
 from simulator.cli.checks import at_least
 from simulator.cli.requests import RunRequest
-from simulator.cli.terminal import axis_title, open_console, print_table, progress_bar
+from simulator.cli.terminal import open_console, print_table, progress_bar
 from simulator.cli.verdicts import outcome_cell, outcome_line, print_inconsistency, print_judgement
+from simulator.study.pages.parts import unphysical_notes
 from simulator.study.sequence.animation import find_ffmpeg
 from simulator.study.sequence.result import Sequence
 from simulator.study.sequence.run import run_sequence
+from simulator.study.sequence.statistics import consistency_text
 from simulator.study.statistics import AXES, BODY_AXES
-from simulator.study.texts import deg_text
+from simulator.study.texts import axis_name, deg_text
 from startracker.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,13 +55,13 @@ def _print(sequence: Sequence, console: Console) -> None:
     summary = sequence.summary
     if summary["interrupted"]:
         console.print(f"Interrupted: {summary['frames']} of {summary['requested']} frames are finished and kept.")
-    for reason in summary["unphysical"]:
-        console.print(f"Unphysical, and allowed by the scenario: {reason}")
+    for note in unphysical_notes(summary["unphysical"]):
+        console.print(note, markup=False)
     single = summary.get("single")
     rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
-        row = [axis_title(axis), *(deg_text(e[key]) for key in ("mean", "rms", "p997", "max"))]
+        row = [axis_name(axis), *(deg_text(e[key]) for key in ("mean", "rms", "p997", "max"))]
         if single:
             gain = single["gain"][axis]
             row += [deg_text(single["errors_deg"][axis]["rms"]), f"{gain:.2f} ×" if gain else "–"]
@@ -76,10 +78,8 @@ def _print(sequence: Sequence, console: Console) -> None:
     print_inconsistency(summary, console)
     held = [f"{mode.replace('_', ' ')} {seconds:g} s" for mode, seconds in summary["time_in_mode_s"].items() if seconds]
     console.print("; ".join(held))
-    nees = summary["nees"]
-    if nees["mean"] is not None:
-        low, high = nees["bounds95"]
-        console.print(f"NEES {nees['mean']:.2f}; 3 expected, 95 % of such sequences {low:.2f} to {high:.2f}")
+    if consistency := consistency_text(summary["nees"]):
+        console.print(consistency, markup=False)
     if "heads" in summary:
         _print_heads(summary["heads"], console)
     for status, count in summary["unsolved_by_status"].items():

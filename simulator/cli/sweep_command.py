@@ -74,7 +74,7 @@ class SweepProgress(WorkBar):
 
 
 def _print(sweep: Sweep, console: Console) -> None:
-    from simulator.study.sweep.page import interval_text, percent_text, value_text
+    from simulator.study.sweep.texts import rate_text, rms_text, value_text
 
     table = sweep.table
     done = [point for point in table["points"] if "statistics" in point]
@@ -85,9 +85,9 @@ def _print(sweep: Sweep, console: Console) -> None:
     def row(point: dict[str, Any]) -> list[str]:
         statistics = point["statistics"]
         values = [value_text(point["values"][path]) for path in paths]
-        errors = [interval_text(statistics, axis) for axis in BODY_AXES]
+        errors = [rms_text(statistics, axis) for axis in BODY_AXES]
         wrong = outcome_cell(statistics)
-        rate = percent_text(statistics).partition(" (")[0]
+        rate = rate_text(statistics).partition(" (")[0]
         return [*values, rate, *errors, wrong, coloured(statistics["verdict"]) if "verdict" in statistics else "–"]
 
     title = f"{table['name']}: rms errors (95 % interval)"
@@ -111,17 +111,19 @@ def _print(sweep: Sweep, console: Console) -> None:
 
 def compare_runs(folders: list[str], out: Path) -> int:
     """Compare runs; prints a table and writes the page."""
+    from simulator.study.pages.html import html_of
     from simulator.study.sweep.compare import compare
-    from simulator.study.sweep.page import comparison_page, interval_text, percent_text, value_text
+    from simulator.study.sweep.comparison_page import comparison_page
+    from simulator.study.sweep.texts import rate_text, rms_text, value_text
 
     comparison = compare(folders)
-    write_atomically(out, comparison_page(comparison))
+    write_atomically(out, html_of(comparison_page(comparison)))
     console = open_console(_WIDTH)
     rows = [
         (
             f"{number}: {run.name}",
-            percent_text(run.statistics).partition(" (")[0],
-            *(interval_text(run.statistics, axis) for axis in BODY_AXES),
+            rate_text(run.statistics).partition(" (")[0],
+            *(rms_text(run.statistics, axis) for axis in BODY_AXES),
         )
         for number, run in enumerate(comparison.runs, start=1)
     ]

@@ -22,11 +22,6 @@ def open_console(width: int = 110, *, error: bool = False) -> Console:
     return Console(stderr=error, highlight=False, width=None if is_terminal(sys.stdout) or error else width)
 
 
-def axis_title(axis: str) -> str:
-    """Name of an axis of the errors, for display."""
-    return "about boresight" if axis == "about_boresight" else axis.replace("_", " ")
-
-
 def print_table(
     console: Console,
     title: str | Text,

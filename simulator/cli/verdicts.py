@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from simulator.cli.terminal import print_table
+from simulator.study.pages.parts import verdict_table
 from simulator.study.specification.outcome import outcome_text
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement
 
@@ -42,17 +43,8 @@ def print_inconsistency(summary: Mapping[str, Any], console: Console) -> None:
 
 def print_judgement(judgement: Judgement, console: Console) -> None:
     """The requirements with their verdicts as a table, and the verdict on all of them as a line."""
-    rows = [
-        (
-            each.requirement.title,
-            each.value_text,
-            each.interval_text or "–",
-            each.limit_text,
-            coloured(each.verdict),
-        )
-        for each in judgement.verdicts
-    ]
-    headings = ("requirement", judgement.basis, "95 % interval", "specified", "verdict")
-    print_table(console, "specification", headings, rows)
+    table = verdict_table(judgement).without("margin")
+    rows = [(*cells, coloured(verdict)) for *cells, verdict in table.rows]
+    print_table(console, "specification", table.headings, rows)
     head, said, rest = judgement.text.partition(judgement.state)
     console.print(f"{head}{coloured(said)}{rest}")

@@ -1,15 +1,15 @@
-"""Charge above the full well: drained, or bloomed along the column of a CCD."""
+"""Charge above the full well: it is drained, or blooms along the column of a CCD."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.core import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 _SETTLED = 1e-9
-"""Excess charge relative to the full well that is neglected."""
+"""Excess charge, relative to the full well, at which the iteration ends."""
 
 
 def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) -> FloatArray:
@@ -26,8 +26,10 @@ def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) ->
     full_well_e : float
         Full well.
     antiblooming : float
-        Fraction of the charge above the full well that is drained: 1: all of it, as in `charge.clip`; 0: all blooms.
+        Fraction of the charge above the full well that is drained. At 1 all of it is, as in `charge.clip`; at 0 all of
+        it blooms.
     """
+    # Few columns have a pixel above the full well; the others are not touched.
     full = np.flatnonzero(electrons.max(axis=0) > full_well_e)
     bloom(electrons, full, full_well_e, 1.0 - antiblooming)
     return electrons
@@ -37,9 +39,10 @@ def full_well(electrons: FloatArray, full_well_e: float, antiblooming: float) ->
 def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float, spilt: float) -> float:
     """Move excess charge along the columns until it fits, in place.
 
-    Half of the excess of each pixel moves up and half down. If both sweeps together exceed the full well of a pixel
-    between two sources, the excess is split again, so that the directions are equivalent. Charge is conserved, except
-    for what is drained and what leaves at the ends of the columns (into the register, or the drain opposite).
+    Half of the excess of each pixel moves up and half down. If the charge that arrives from both sides exceeds the full
+    well of a pixel between two sources, the new excess is split again, so that both directions are equivalent. Charge
+    is conserved, except for the drained fraction and the charge that leaves at the ends of the columns (into the
+    register, or the drain at the opposite end).
 
     Parameters
     ----------
@@ -67,6 +70,7 @@ def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float,
             for row in range(rows):
                 over = max(electrons[row, column] - full_well_e, 0.0)
                 electrons[row, column] -= over
+                # The drain takes its fraction once, not of the charge that has bloomed already.
                 excess[row] = over * spilt if first else over
                 largest = max(largest, excess[row])
             first = False
@@ -76,12 +80,14 @@ def bloom(electrons: FloatArray, columns: NDArray[np.int64], full_well_e: float,
     return out
 
 
-@kernel_part
+@kernel
 def _sweep(electrons: FloatArray, excess: FloatArray, column: int, full_well_e: float) -> float:
     """Move half of the excess up and half down to the nearest free capacity; both use the same capacity."""
     rows = excess.size
     arriving = np.zeros(rows)
     carried = 0.0
+    # Each sweep carries charge along the column, drops as much of it into a pixel as fits, and picks up half of the
+    # pixel's own excess. Both sweeps see the column as it was before, so that neither direction is preferred.
     for row in range(rows):
         fits = min(carried, full_well_e - electrons[row, column])
         arriving[row] += fits

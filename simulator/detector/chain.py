@@ -1,8 +1,9 @@
 """Definition of the order of the detector's effects, and the detector that applies them.
 
-`CHARGE` are the effects in the pixels, in electrons; `READOUT` those between charge and digital numbers. An effect that
-is off is skipped and uses no random numbers. Each random effect has its own named stream, so that switching one does
-not change the others. Consecutive effects that act on single pixels run together (`pixels.py`).
+`CHARGE` lists the effects in the pixels, in electrons, and `READOUT` those between charge and digital numbers. An
+effect that is off is skipped and uses no random numbers. Each random effect has its own named stream, so that switching
+one effect on or off does not change the noise of the others. Consecutive effects on single pixels are run together
+(`pixels.py`).
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ class Moment(NamedTuple):
     """Time of an exposure, and the particles that cross the detector in it."""
 
     exposure_s: float
+    """Exposure time."""
     t_s: float = 0.0
     """Mid-exposure, seconds after the epoch; only random telegraph pixels depend on it."""
     particles: tuple[CosmicRays, ...] | None = None
-    """Particles at the position of the frame, in place of those of the detector; None: the detector's."""
+    """Kinds of particles at the position of the frame; None for the detector's own parameters."""
 
 
 FrameEffect = Callable[[FloatArray, Moment, Streams], FloatArray]
@@ -39,11 +41,13 @@ FrameEffect = Callable[[FloatArray, Moment, Streams], FloatArray]
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: its name, whether a detector has it, and its operation on single pixels or on a whole frame."""
+    """One effect of the detector."""
 
     name: str
     on: Callable[[DetectorParameters, FixedPattern], bool]
+    """Whether a detector has the effect."""
     act: Callable[[DetectorParameters, FixedPattern], Step | FrameEffect]
+    """The operation: a step on single pixels, or a function of a whole frame."""
 
 
 def _telegraph(pattern: FixedPattern) -> FrameEffect:
@@ -52,8 +56,8 @@ def _telegraph(pattern: FixedPattern) -> FrameEffect:
     return lambda s, t, rng: pixels.add_to(s, t.exposure_s, t.t_s)
 
 
-# d: detector; p: fixed pattern; t: exposure time and moment; rng: random stream by name; s: signal (H, W), modified or
-# new
+# Arguments of the functions below: d, detector; p, fixed pattern; t, moment with the exposure time; rng, random stream
+# by name; s, signal (H, W), which an effect modifies in place or replaces.
 CHARGE: tuple[Effect, ...] = (
     Effect(
         "intensifier",  # mean photo-electrons of a photocathode → mean electrons of the detector
@@ -141,14 +145,14 @@ class Readout:
     image: NDArray[np.uint16] | NDArray[np.float64]
     """(H, W): Digital numbers."""
     electrons: FloatArray | None
-    """(H, W): Charge in the pixels at the end of the exposure, before readout noise; None if not kept."""
+    """(H, W): Charge in the pixels at the end of the exposure, before readout noise; None unless requested."""
     saturated: NDArray[np.bool_] | None
     """(H, W): Pixels at the full well or at the largest digital number. This is truth; a tracker uses `saturation_dn`.
-    None if the charge was not kept."""
+    None unless the charge was requested."""
     saturation_dn: float
-    """DN from which a pixel counts as saturated."""
+    """DN at and above which a pixel is saturated."""
     gain_e_per_dn: float
-    """Electrons per DN, as measured by a photon-transfer curve: signal over variance. With an intensifier these are
+    """Electrons per DN, as measured by a photon-transfer curve: signal over variance. With an intensifier they are
     photo-electrons of the photocathode divided by the excess noise factor."""
 
 
@@ -174,11 +178,11 @@ def detect(
         From `build_fixed_pattern` of the same detector.
     streams : callable
         Returns the generator of a stream by name: ``intensifier``, ``shot_noise``, ``cosmic_rays``, ``reset_noise``,
-        ``read_noise``, ``video``. Only called for effects that are on.
+        ``read_noise``, ``video``. It is called only for effects that are on.
     exposure_s : float
         Exposure time, for dark current, cosmic rays and dark emission of a photocathode.
     keep_charge : bool
-        Also return the charge before readout; the image is the same, but takes longer.
+        Also return the charge before readout. The image is the same, but takes longer to compute.
 
     Raises
     ------
@@ -198,6 +202,8 @@ class Detector:
         for name, map_ in (("prnu", pattern.prnu), ("dark_e_s", pattern.dark_e_s)):
             if np.ndim(map_) > 0:
                 self._check(f"pattern.{name}", np.shape(map_))
+        # If the charge is not requested, all effects form one sequence, in which the last steps on charge and the first
+        # ones of the readout share a pass over the image.
         charge: list[Step | FrameEffect] = [Step(steps.LIGHT), *_acts(CHARGE, detector, pattern)]
         read = _acts(READOUT, detector, pattern)
         self._charge, self._read, self._both = _stages(charge), _stages(read), _stages(charge + read)
@@ -237,8 +243,11 @@ def _acts(effects: Sequence[Effect], detector: DetectorParameters, pattern: Fixe
 
 
 def _stages(acts: Sequence[Step | FrameEffect]) -> list[PixelPipeline | FrameEffect]:
-    """Consecutive steps as one pipeline; there is a pipeline, possibly empty, before and after each effect on whole
-    frames."""
+    """Combine consecutive steps into pipelines.
+
+    There is a pipeline, possibly empty, before and after each effect on whole frames: the first one checks the light,
+    and the last one writes the output array.
+    """
     stages: list[PixelPipeline | FrameEffect] = []
     waiting: list[Step] = []
     for act in acts:
@@ -257,7 +266,7 @@ def _run(
     moment: Moment,
     streams: Streams,
 ) -> None:
-    """Apply pipelines and effects on whole frames to an image (not modified), with the result in `out`."""
+    """Apply pipelines and effects on whole frames to an image, which is not modified, and write the result to `out`."""
     for stage in stages[:-1]:
         if isinstance(stage, PixelPipeline):
             into = np.empty_like(signal)

@@ -3,10 +3,10 @@
 The number of particles has a Poisson distribution with mean rate × area × exposure. An isotropic flux crosses a plane
 with a density proportional to cos θ in solid angle: cos²θ is uniform from 0 to 1, and the azimuth is uniform. The
 length in the silicon is depth / cos θ. The charge along it follows the Landau distribution (Landau 1944; Particle Data
-Group, "Passage of particles through matter") with the most probable value `charge_e_um` × length, and a width ξ in the
-ratio of a minimum-ionising particle. Energetic knock-on electrons leave the layer, so that the tail is truncated where
-the mean is the mean loss of a minimum-ionising particle, 1.664 MeV cm²/g × 2.329 g/cm³ (Particle Data Group, atomic
-properties).
+Group, "Passage of particles through matter") with the most probable value `charge_e_um` × length; its width ξ is
+proportional to that value as for a minimum-ionising particle. Energetic knock-on electrons leave the layer, so the tail
+is truncated such that the mean equals the mean loss of a minimum-ionising particle, 1.664 MeV cm²/g × 2.329 g/cm³
+(Particle Data Group, atomic properties).
 
 Valid for fast particles, which neither stop nor scatter in tens of micrometres. 80 e⁻/µm is for layers of some hundred
 micrometres; by the same theory it is less in thin layers, 62 e⁻/µm in 15 µm (`most_probable_loss_ev`). Trapped protons
@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.detector.parameters import CosmicRays, DetectorParameters
+from startracker._compiled import kernel
 from startracker.core import FloatArray
-from startracker.kernels import kernel
 
 PAIR_ENERGY_EV = 3.65
 """Mean energy per electron-hole pair in silicon (Janesick 2001)."""
@@ -43,8 +43,9 @@ class CosmicRayTracks:
     """Tracks of the cosmic rays of one exposure."""
 
     start_px: FloatArray
+    """(N, 2): Points of entry into the sensitive layer, (x, y) in pixels."""
     end_px: FloatArray
-    """(N, 2): Entry and exit points in the sensitive layer, (x, y) in pixels."""
+    """(N, 2): Points of exit from it."""
     length_um: FloatArray
     """(N,): Length in the silicon."""
     charge_e: FloatArray
@@ -52,7 +53,8 @@ class CosmicRayTracks:
 
 
 def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float, particles: CosmicRays | None = None) -> float:
-    """Mean number of particles through the surface of the detector in an exposure; by default those of the detector."""
+    """Mean number of particles through the surface of the detector in an exposure; `particles` replaces the kind given
+    by the detector's parameters."""
     pitch_x, pitch_y = detector.pitch_um
     area_cm2 = detector.width * pitch_x * detector.height * pitch_y * 1e-8
     return (particles or detector.cosmic_rays).rate_cm2_s * area_cm2 * exposure_s
@@ -61,17 +63,19 @@ def mean_cosmic_rays(detector: DetectorParameters, exposure_s: float, particles:
 def draw_cosmic_rays(
     detector: DetectorParameters, exposure_s: float, rng: np.random.Generator, particles: CosmicRays | None = None
 ) -> CosmicRayTracks:
-    """Random particles of one exposure that enter the layer, from either side, within the outline; by default those of
-    the detector."""
+    """Random tracks of the particles that enter the layer from either side, within the outline of the detector, in one
+    exposure; `particles` replaces the kind given by the detector's parameters."""
     rays = particles or detector.cosmic_rays
     n = int(rng.poisson(mean_cosmic_rays(detector, exposure_s, rays)))
+    # Five deviates per particle: x and y of the entry, sin²θ, azimuth, and charge.
     uniform = rng.random((n, 5))
-    cos = np.sqrt(1.0 - uniform[:, 2])  # never 0
+    cos = np.sqrt(1.0 - uniform[:, 2])  # never 0, because deviates are below 1
     azimuth = math.tau * uniform[:, 3]
     start = uniform[:, :2] * (detector.width, detector.height) - 0.5
     reach_um = rays.depth_um * np.sqrt(uniform[:, 2]) / cos  # depth × tan θ
     along = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
     length = rays.depth_um / cos
+    # Deviates below the truncated fraction give the truncated distribution, relative to its most probable value.
     deviate = landau_quantile(uniform[:, 4] * LANDAU_SHARE) - LANDAU_MODE
     charge = rays.charge_e_um * length * np.maximum(1.0 + _XI_SHARE * deviate, 0.0)
     return CosmicRayTracks(start, start + along * reach_um[:, None] / detector.pitch_um, length, charge)
@@ -84,8 +88,8 @@ def add_cosmic_rays(
     rng: np.random.Generator,
     particles: Sequence[CosmicRays] | None = None,
 ) -> FloatArray:
-    """Add the charge of cosmic rays, (H, W) electrons, in place; not integers. `particles` replaces the detector's own
-    kind."""
+    """Add the charge of cosmic rays to an image (H, W), electrons, in place; the charge is not rounded. `particles`
+    replaces the kind given by the detector's parameters."""
     for rays in (detector.cosmic_rays,) if particles is None else particles:
         tracks = draw_cosmic_rays(detector, exposure_s, rng, rays)
         add_tracks(electrons, tracks.start_px, tracks.end_px, tracks.charge_e)
@@ -133,7 +137,8 @@ def add_tracks(image: FloatArray, start: FloatArray, end: FloatArray, charge: Fl
         dx, dy = end[k, 0] - start[k, 0], end[k, 1] - start[k, 1]
         column, row = math.floor(x), math.floor(y)
         step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-        # t is 0 to 1 along the track; next_*: t of the next grid line
+        # t runs from 0 to 1 along the track. next_x and next_y are the t of the next grid line in each direction,
+        # each_x and each_y the intervals of t between grid lines; infinite for a track parallel to them.
         each_x = abs(1.0 / dx) if dx != 0.0 else math.inf
         each_y = abs(1.0 / dy) if dy != 0.0 else math.inf
         next_x = (column + 1 - x if dx > 0 else x - column) * each_x if dx != 0.0 else math.inf
@@ -148,7 +153,8 @@ def add_tracks(image: FloatArray, start: FloatArray, end: FloatArray, charge: Fl
                 or (column >= columns and dx >= 0)
                 or (row < 0 and dy <= 0)
                 or (row >= rows and dy >= 0)
-            ):  # it does not re-enter the image
+            ):
+                # The track is outside and leads away; one that starts outside may still enter the image.
                 break
             t = leave
             if next_x < next_y:

@@ -13,8 +13,8 @@ from startracker.errors import InputError
 def hot_defects(
     detector: DetectorParameters, dark_factor: float, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Dark current on top of the ordinary one, electrons per second, and where it is, (H, W) each; None without hot
-    defects.
+    """Additional dark current of hot pixels and columns, electrons per second, and the mask of these pixels, (H, W)
+    each; None if there are none.
 
     Parameters
     ----------
@@ -37,6 +37,7 @@ def hot_defects(
         dark.flat[chosen] = rng.exponential(detector.hot_pixel_dark_e_s * dark_factor, size=chosen.size)
         where.flat[chosen] = True
     if columns:
+        # All pixels of a hot column share one current.
         rng = stream(seed, "hot_columns")
         chosen = _some_columns("hot_columns", detector.hot_columns, detector.width, rng)
         dark[:, chosen] += rng.exponential(detector.hot_column_dark_e_s * dark_factor, size=chosen.size)
@@ -45,7 +46,7 @@ def hot_defects(
 
 
 def displacement_dark(detector: DetectorParameters, dark_factor: float, seed: int) -> NDArray[np.float64] | None:
-    """Dark current by displacement damage, electrons per second, (H, W); None without any.
+    """Dark current by displacement damage, electrons per second, (H, W); None if there is none.
 
     The number of interactions in a pixel has a Poisson distribution, and the sum of n exponentially distributed
     dark currents a gamma distribution of shape n. Stream ``displacement`` of the device; parameters as in
@@ -63,7 +64,8 @@ def displacement_dark(detector: DetectorParameters, dark_factor: float, seed: in
 
 
 def dead_defects(detector: DetectorParameters, seed: int) -> NDArray[np.bool_] | None:
-    """Dead pixels and columns, (H, W); None without any. Streams ``dead_pixels`` and ``dead_columns`` of the device."""
+    """Mask (H, W) of dead pixels and columns; None if there are none. Streams ``dead_pixels`` and ``dead_columns`` of
+    the device."""
     if not (detector.dead_pixel_fraction > 0 or detector.dead_columns > 0):
         return None
     where = np.zeros((detector.height, detector.width), dtype=bool)

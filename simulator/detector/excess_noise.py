@@ -26,6 +26,6 @@ def excess_noise_factor(detector: DetectorParameters) -> float:
 
 
 def bunch_e(detector: DetectorParameters) -> float:
-    """⟨g⟩ F², electrons: variance over mean of the light summed over an area, in the detector; 1 without an
+    """⟨g⟩ F², electrons: ratio of variance to mean of the charge summed over an area of the detector; 1 without an
     intensifier."""
     return signal_gain(detector) * excess_noise_factor(detector)

@@ -25,7 +25,7 @@ class FixedPattern:
     prnu: Map | float
     """Response of each pixel relative to the mean; the scalar 1.0 if photo-response non-uniformity is off."""
     dark_e_s: Map | float
-    """Mean dark current of each pixel, electrons per second; a scalar where all pixels are alike."""
+    """Mean dark current of each pixel, electrons per second; a scalar if it is the same for all pixels."""
     dead: NDArray[np.bool_] | None = None
     """(H, W): Dead pixels and columns; None if there are none."""
     hot: NDArray[np.bool_] | None = None
@@ -34,15 +34,15 @@ class FixedPattern:
     """Random telegraph pixels; `dark_e_s` is that of their lower level. None if there are none."""
 
     def single(self) -> FixedPattern:
-        """The same in single precision, which is used for frames: it halves the memory traffic, and no pixel is known
-        to seven digits."""
+        """The same pattern in single precision, which is used for frames: it halves the memory traffic, and seven
+        digits are more than any measured pattern has."""
         prnu, dark_e_s = (
             map_.astype(np.float32) if isinstance(map_, np.ndarray) else map_ for map_ in (self.prnu, self.dark_e_s)
         )
         return replace(self, prnu=prnu, dark_e_s=dark_e_s)
 
     def bad_pixels(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
-        """Map of all defects, (H, W) bool, which a calibrated tracker may mask."""
+        """Mask (H, W) of all defects, which a calibrated tracker may exclude."""
         bad = np.zeros(shape, dtype=bool)
         for defects in (self.dead, self.hot):
             if defects is not None:
@@ -54,10 +54,10 @@ def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern
     """Generate the fixed pattern of a device.
 
     Response and dark current of a pixel are products of many small independent factors (area, thickness, coating;
-    volume, generation rate, activation energy), hence log-normal with mean 1 and the given relative standard deviation,
-    and never negative. Up to a few percent this is the Gaussian with which EMVA 1288 describes PRNU; at tens of percent
-    it has the long upper tail of measured dark-current histograms. The dark pattern scales as a whole with temperature,
-    as in Greyling 1995, section 3.4.2.
+    volume, generation rate, activation energy). They are therefore log-normal with mean 1 and the given relative
+    standard deviation, and never negative. Up to a few percent this is practically the Gaussian with which EMVA 1288
+    describes PRNU; at tens of percent it has the long upper tail of measured dark-current histograms. The dark pattern
+    scales as a whole with temperature, as in Greyling 1995, section 3.4.2.
 
     Hot pixels: a binomial number of random pixels, each with an exponentially distributed additional dark current. Hot
     columns: a given number of random columns, each with one such current in all its pixels. Displacement damage: a
@@ -92,10 +92,12 @@ def build_fixed_pattern(detector: DetectorParameters, seed: int) -> FixedPattern
     damage = displacement_dark(detector, factor, seed)
     if damage is not None:
         dark = dark + damage
+    # Checked before the Poisson deviates, whose message could not name these keys.
     _check_countable(float(np.max(dark)), detector)
     dead = dead_defects(detector, seed)
     if dead is not None:
         prnu = np.where(dead, 0.0, prnu)
+        # A detector without dark current keeps its scalar 0, with which the effect is skipped.
         dark = np.where(dead, 0.0, dark) if np.any(np.asarray(dark) > 0) else dark
     telegraph = telegraph_pixels(detector, factor, seed)
     if telegraph is not None and dead is not None:
@@ -116,7 +118,8 @@ def dark_current_factor(temperature_c: float, reference_c: float, doubling_c: fl
 
 
 def _unit_mean_lognormal(sigma: float, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.float64]:
-    variance = math.log1p(sigma * sigma)  # of the logarithm
+    # exp(N(m, s²)) has the mean exp(m + s²/2), which m = −s²/2 makes 1, and the relative variance exp(s²) − 1.
+    variance = math.log1p(sigma * sigma)
     return np.exp(math.sqrt(variance) * rng.standard_normal(shape) - 0.5 * variance)
 
 

@@ -18,11 +18,11 @@ import numpy as np
 
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 TAIL = np.float32(3.66)
-"""Start of the tails."""
+"""Deviation, in standard deviations, at which the tails begin."""
 WORD = 2.0**-32
 
 _P = singles(
@@ -44,6 +44,8 @@ _ONE, _HALF, _UNIT, _TWICE = np.float32(1.0), np.float32(0.5), np.float32(2.0**-
 @kernel_part
 def _log(y: np.float32) -> np.float32:
     """Natural logarithm in single precision, vectorised by the compiler."""
+    # Subtracting the bits of √½ before the exponent is split off leaves a mantissa from √½ to √2, where the series
+    # converges fastest.
     bits = np.int32(np.float32(y).view(np.int32) - _ROOT_HALF)
     exponent = np.float32(np.int32(bits >> _BITS))
     z = np.int32((bits & _MANTISSA) + _ROOT_HALF).view(np.float32) - _ONE
@@ -54,6 +56,7 @@ def _log(y: np.float32) -> np.float32:
 @kernel_part
 def _words_to_middle(word: np.uint32) -> np.int32:
     """Number of integers between this one and the centre, 0 to 2³¹ − 1, int32."""
+    # As a signed number relative to the centre, a negative one is inverted: −1 − w, without a branch.
     centred = np.int32(word ^ _MIDDLE)
     return np.int32(centred ^ np.int32(centred >> _SIGN))
 
@@ -64,12 +67,14 @@ def tail_words(word: np.uint32) -> np.int32:
     return np.int32(_LARGEST - _words_to_middle(word))
 
 
-@pixel_kernel
+@kernel
 def gaussian_from_bits(bits: Bits, out: SingleArray) -> None:
-    """Φ⁻¹((bits + ½)/2³²) in single precision into `out` (≥ N,); in the tails only some value beyond `TAIL`."""
+    """Write Φ⁻¹((bits + ½)/2³²) in single precision to `out` (≥ N,); in the tails the result is only a value beyond
+    `TAIL`, to be replaced by `settle_tails`."""
     for i in range(bits.size):
         x = (np.float32(_words_to_middle(bits[i])) + _HALF) * _TWICE  # |2u − 1|
         p = (np.float32(tail_words(bits[i])) + _HALF) * _UNIT  # the smaller of u and 1 − u
+        # The polynomial is in −ln 4u(1 − u), shifted to the middle of its range for accuracy.
         t = -_log(np.float32(4.0) * p * (_ONE - p)) - _CENTRE
         number = x * polynomial(t, _P)
         out[i] = number if bits[i] >= _MIDDLE else -number
@@ -116,6 +121,7 @@ def add_gaussian(signal: FloatArray, sigma: float, key: Key, first: int, bits: B
 @kernel_part
 def settle_tails(deviate: SingleArray, key: Key, first: int, bits: Bits) -> None:
     """Replace deviates beyond `TAIL` by those in double precision, with additional bits of the pixels."""
+    # Tails are rare: most blocks are skipped after a vectorised test.
     for start in range(0, deviate.size, BLOCK):
         if outside(deviate[start : start + BLOCK], -TAIL, TAIL) > 0:
             for i in range(start, min(start + BLOCK, deviate.size)):

@@ -14,6 +14,7 @@ from simulator.detector.steps import SHOT_NOISE, Step
 from startracker.core import FloatArray
 
 _KERNEL_SIGMAS = 5.0
+"""Radius at which the blur is truncated, standard deviations."""
 
 
 def intensify(
@@ -21,10 +22,10 @@ def intensify(
 ) -> FloatArray:
     """Mean electrons of an intensified image in the detector, (H, W).
 
-    The numbers of photo-electrons of the photocathode (light and dark) are sampled, each is multiplied by a random
-    gain, and the result is blurred by phosphor and coupling. The detector's own shot noise, that of the phosphor's
-    light, is added later. The blur is reflected at the borders of the frame, as the same amount of light enters from
-    outside. With `shot_noise` off the mean is multiplied and blurred.
+    The numbers of photo-electrons of the photocathode (light and dark) are sampled, each photo-electron is multiplied
+    by a random gain, and the result is blurred by phosphor and coupling. The shot noise of the phosphor's light is
+    added later, as the detector's own shot noise. At the borders of the frame the blur is reflected, because as much
+    light enters from outside as leaves. With `shot_noise` off the mean is multiplied and blurred.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from startracker.kernels import kernel_part
+from startracker._compiled import kernel_part
 
 Bits = NDArray[np.uint32]
 Key = NDArray[np.uint64]
@@ -35,9 +35,11 @@ def draw_key(rng: np.random.Generator) -> Key:
 
 @intrinsic
 def block(typing_context: Any, k0: Any, k1: Any, counter: Any, lane: Any) -> Any:
-    """128 random bits, four uint64 below 2³², of counter (64 bits) and lane (32 bits); k0, k1: key, 32 bits each.
+    """128 random bits, as four uint64 below 2³², of a counter (64 bits) and a lane (32 bits); the key is k0 and k1,
+    32 bits each.
 
-    Instructions of the ten rounds one after another, because a loop would prevent vectorisation over counters.
+    The instructions of the ten rounds are generated one after another, because a loop would prevent vectorisation over
+    counters.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -50,6 +52,8 @@ def block(typing_context: Any, k0: Any, k1: Any, counter: Any, lane: Any) -> Any
         k0, k1, counter, lane = arguments
         (x0, x1), x2, x3 = halves(counter), lane, number(0)
         for _ in range(_ROUNDS):
+            # One round: two 32 × 32 bit products, whose halves are permuted and combined with the key; the key is then
+            # incremented by the Weyl constants.
             (low_0, high_0), (low_1, high_1) = (
                 halves(builder.mul(number(by), x)) for by, x in ((_MULTIPLY_0, x0), (_MULTIPLY_1, x2))
             )
@@ -63,8 +67,8 @@ def block(typing_context: Any, k0: Any, k1: Any, counter: Any, lane: Any) -> Any
 
 @kernel_part
 def fill_bits(key: Key, first: np.uint64, lane: np.uint64, bits: Bits) -> None:
-    """Random bits of the N counters first, first + 1, …, into `bits` (4 N,): the first 32 bits of each block, then the
-    second, …"""
+    """Write the random bits of the N counters first, first + 1, … to `bits` (4 N,): the first 32 bits of all blocks,
+    then the second ones, and so on."""
     n = bits.size // 4
     w0, w1, w2, w3 = bits[:n], bits[n : 2 * n], bits[2 * n : 3 * n], bits[3 * n : 4 * n]
     for i in range(n):

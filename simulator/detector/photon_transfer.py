@@ -39,14 +39,15 @@ class PhotonTransfer:
     """A photon-transfer curve and the parameters of its linear part."""
 
     signal_dn: FloatArray
+    """(L,): Mean above the bias at each level."""
     variance_dn2: FloatArray
-    """(L,): Mean above the bias and variance of the noise at each level, without the fixed pattern."""
+    """(L,): Variance of the noise at each level, without the fixed pattern."""
     used: NDArray[np.bool_]
-    """(L,): Levels of the linear part."""
+    """(L,): Whether a level is in the linear part."""
     gain_e_per_dn: Measured
     """Electrons per DN: 1 / slope."""
     read_noise_e: Measured
-    """Noise of the bias pair, without rounding."""
+    """Noise of the bias pair, without the noise of rounding."""
 
     __repr__ = fields_repr
 
@@ -54,12 +55,14 @@ class PhotonTransfer:
 def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
     """Mean, variance of the noise and variance of the pattern of two frames of one level, DN and DN².
 
-    With a the first and b the second frame: mean of (a + b)/2, var(a − b)/2, cov(a, b). The error of the mean is that
-    of the noise (the pattern is the same in all frames); those of the variances are from the scatter of the squares and
-    products, so that no distribution is assumed.
+    With a the first and b the second frame, these are the mean of (a + b)/2, var(a − b)/2 and cov(a, b). The error of
+    the mean is that of the noise, as the pattern is the same in all frames. The errors of the variances follow from the
+    scatter of the squares and products, so no distribution is assumed.
     """
     a, b = np.asarray(pair[0], dtype=np.float64).ravel(), np.asarray(pair[1], dtype=np.float64).ravel()
     n = a.size
+    # The pattern is common to both frames and cancels in the difference; the noise is independent and does not
+    # contribute to the covariance.
     a, b = a - a.mean(), b - b.mean()
     squares, products = 0.5 * (a - b) ** 2, a * b
     noise = float(squares.sum()) / (n - 1)
@@ -74,8 +77,9 @@ def pair_statistics(pair: Pair) -> tuple[Measured, Measured, Measured]:
 def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True) -> PhotonTransfer:
     """Gain and read noise from the mean–variance curve.
 
-    σ² = S / K + σ_r², with the signal S above the bias and the gain K in electrons per DN: weighted least squares over
-    the bias and the levels below saturation, which begins where the variance falls from one level to the next.
+    The curve σ² = S / K + σ_r², with the signal S above the bias and the gain K in electrons per DN, is fitted by
+    weighted least squares to the bias and the levels up to that with the largest variance, above which the detector
+    saturates.
 
     Parameters
     ----------
@@ -84,7 +88,7 @@ def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True
     bias : pair
         Two frames without light and dark current.
     quantised : bool
-        The frames have integer DN: 1/12 DN² of the variance is rounding.
+        Whether the frames have integer DN, so that 1/12 DN² of the variance is rounding.
     """
     dark, dark_noise, _ = pair_statistics(bias)
     levels = sorted((pair_statistics(pair) for pair in flats), key=lambda level: level[0].value)
@@ -93,13 +97,14 @@ def photon_transfer(flats: Sequence[Pair], bias: Pair, *, quantised: bool = True
     error = np.array([level[1].error for level in levels])
     used = np.arange(signal.size) <= int(np.argmax(variance))
 
+    # A weighted straight line; the bias pair is its point at zero signal.
     x = np.concatenate([[0.0], signal[used]])
     y = np.concatenate([[dark_noise.value], variance[used]])
     weight = 1.0 / np.concatenate([[dark_noise.error], error[used]]).clip(1e-12) ** 2
     mean_x, mean_y = np.average(x, weights=weight), np.average(y, weights=weight)
     spread = np.sum(weight * (x - mean_x) ** 2)
     slope = float(np.sum(weight * (x - mean_x) * (y - mean_y)) / spread)
-    gain = Measured(1.0 / slope, 1.0 / math.sqrt(spread) / slope**2)
+    gain = Measured(1.0 / slope, 1.0 / math.sqrt(spread) / slope**2)  # error of 1/slope by propagation
 
     read2 = max(dark_noise.value - (QUANTISATION_DN2 if quantised else 0.0), 0.0)
     read = gain.value * math.sqrt(read2)
@@ -160,6 +165,6 @@ def _nonuniformity(bright: Pair, dark: Pair) -> Measured:
     variance = max(pattern.value - below.value, 0.0)
     error = math.hypot(pattern.error, below.error)
     value = math.sqrt(variance) / signal
-    # near zero the error of the variance is all that is known
+    # The error of a square root near zero cannot be propagated linearly; the root of the variance's error bounds it.
     spread = error / (2.0 * math.sqrt(variance)) if variance > error else math.sqrt(error)
     return Measured(value, math.hypot(spread, value * math.hypot(high.error, low.error)) / signal)

@@ -1,8 +1,8 @@
 """The per-pixel pipeline: a sequence of steps that act on single pixels, run over the image in tiles.
 
-An image of a million pixels is larger than the processor's cache, and reading it takes as long as most effects. All
-steps are therefore applied to one tile before the next. The noise of a pixel depends only on the key of its step and on
-the pixel number.
+An image of a million pixels is larger than the processor's cache, and reading it from memory takes as long as most
+effects. Therefore all steps are applied to one tile before the next tile is read. The noise of a pixel depends only on
+the key of its step and on the number of the pixel.
 """
 
 from __future__ import annotations
@@ -32,19 +32,23 @@ from simulator.detector.steps import (
     begin,
 )
 from simulator.randomness import Streams
+from startracker._compiled import kernel
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.kernels import pixel_kernel
 
 _VALUES = 3
+"""Largest number of values of a step."""
 
 
 class Program(NamedTuple):
-    """Steps after charge collection in the form for the kernel: step numbers (K,), values (K, 3) and keys (K, 2)."""
+    """The K steps after charge collection, as arrays for the kernel."""
 
     kernels: IntArray
+    """(K,): Numbers of the steps."""
     values: FloatArray
+    """(K, 3): Values of the steps, padded with zeros."""
     keys: Key
+    """(K, 2): Keys of the random streams; zeros for steps without noise."""
 
 
 def apply_steps(signal: FloatArray, steps: Sequence[Step], out: NDArray[Any]) -> None:
@@ -93,6 +97,7 @@ class PixelPipeline:
         """
         if not (signal.flags.c_contiguous and out.flags.c_contiguous):
             raise ValueError("the per-pixel pipeline works on C-contiguous arrays only")
+        # Each random step draws its key once per image; the noise of all pixels follows from it.
         keys = np.zeros((len(self._kernels), 2), dtype=np.uint64)
         for k, source in self._random:
             if isinstance(source, str):
@@ -108,7 +113,7 @@ class PixelPipeline:
             raise InputError(f"the mean electrons of a pixel must be in 0 to {LARGEST_MEAN:g}")
 
 
-@pixel_kernel
+@kernel
 def _run(signal: FloatArray, collection: Collection, exposure_s: float, program: Program, out: NDArray[Any]) -> int:
     """Kernel of `PixelPipeline.run`; returns the number of the step that rejected the signal, or −1."""
     bits, one, two = np.empty(TILE, np.uint32), np.empty(TILE, np.float32), np.empty(TILE, np.float32)
@@ -120,6 +125,7 @@ def _run(signal: FloatArray, collection: Collection, exposure_s: float, program:
             return LIGHT
         for k in range(program.kernels.size):
             kernel, value, key = program.kernels[k], program.values[k], program.keys[k]
+            # Each block of random bits serves four pixels, so counters advance by a quarter of the pixels.
             if kernel in (SHOT_NOISE, GAUSSIAN_NOISE):
                 fill_bits(key, np.uint64(first // 4), np.uint64(0), bits)
             if kernel == SHOT_NOISE:
@@ -135,6 +141,6 @@ def _run(signal: FloatArray, collection: Collection, exposure_s: float, program:
                 amplify(run, value[0], value[1])
             elif kernel == CONVERT:
                 convert(run, value[0])
-        for i in range(run.size):  # a loop on slices is vectorised, a slice assignment is not
+        for i in range(run.size):  # the compiler vectorises this loop, but not the assignment of a slice
             target[i] = run[i]
     return -1

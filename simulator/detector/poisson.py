@@ -1,7 +1,7 @@
 """Exact Poisson deviates for an image of means by inversion, from a uniform deviate of each pixel.
 
-N is the smallest n with P(≤ n) > u for u = (w + f)/2³². The random 32-bit integer w is sufficient for nearly every
-pixel; 53 more bits are used otherwise. Three methods give the same result:
+The deviate N is the smallest n with P(≤ n) > u for u = (w + f)/2³². The random 32-bit integer w is sufficient for
+nearly every pixel; for the others 53 more bits f are used. Three methods give the same result:
 
 - Means from `LOWEST` to `HIGHEST`: P(< x) = u, continued from integer n to real x by the incomplete gamma function, has
   the uniform expansion x = λ g(s) + b(s) + c(s)/λ, s = Φ⁻¹(u)/√λ (Temme 1992; Giles 2016, "Algorithm 955: approximation
@@ -9,11 +9,11 @@ pixel; 53 more bits are used otherwise. Three methods give the same result:
   more than 2e-3/λ + 2e-5 + 2.5e-7 λ from an integer (the last two terms for single precision), N is its integer part.
 - Lower means: u is compared with P(≤ 0), P(≤ 1), … in single precision; the result is used if u is not within
   `_MARGIN_LOW` of any of them.
-- All other pixels (1 in 1,000, the tails and the cores of bright stars): the distribution function in double precision
-  (`quantile`).
+- All other pixels (1 in 1,000, the tails and the cores of bright stars): the distribution function is evaluated in
+  double precision (`quantile`).
 
-No result depends on an approximation; the deviates are exact to double precision. The Gaussian approximation of the
-Poisson distribution is not used anywhere.
+Approximations only serve to decide quickly, with margins for their errors, so the deviates are exact to double
+precision. The Gaussian approximation of the Poisson distribution is not used anywhere.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import numpy as np
 from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_words, upper_quantile
 from simulator.detector.philox import Bits, Key, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, SingleArray
-from startracker.kernels import kernel, kernel_part
 
 LARGEST_MEAN = 1e18
 """Largest mean whose Poisson deviates fit into 64 bits."""
@@ -38,8 +38,8 @@ LOW_NUMBERS = 16
 _MARGIN, _MARGIN_EACH, _MARGIN_SHARE = np.float32(2e-5), np.float32(2e-3), np.float32(2.5e-7)
 _MARGIN_LOW = np.float32(2e-6)
 _FEW = 256
-"""If less than this fraction of the means is low (or high), there is no separate pass for them."""
-_OPEN = np.float32(-1.0)
+"""There is no separate pass for low (or high) means if they are fewer than one in this number."""
+_OPEN = np.float32(-1.0)  # marks a pixel that is not decided yet
 _LOWER_HALF, _BELOW_LOWEST = np.uint32(2**31), np.float32(2.0**-32)
 _DECIDE, _ROUNDING = 4096.0, 2.0**40
 _A = singles(
@@ -66,7 +66,7 @@ _STIRLING = np.array(
 """ln n! − (n + ½) ln n + n − ½ ln 2π for n = 0 to 15."""
 
 
-@kernel_part
+@kernel
 def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: SingleArray, number: SingleArray) -> bool:
     """Replace the means of the pixels first, first + 1, … by Poisson deviates; returns False if one of the means is
     negative, NaN or above `LARGEST_MEAN`.
@@ -89,6 +89,7 @@ def shot_noise(signal: FloatArray, key: Key, first: int, bits: Bits, mean: Singl
         return False
     for i in range(n):
         mean[i] = np.float32(signal[i])
+    # Counted in 32 bits without a branch, so that the compiler vectorises the loop.
     low = np.int32(0)
     for i in range(n):
         low = np.int32(low + np.int32(mean[i] < LOWEST))
@@ -117,9 +118,10 @@ def settle(signal: FloatArray, key: Key, first: int, bits: Bits, number: SingleA
         signal[i] = np.float64(number[i]) if number[i] >= _ZERO else signal[i]
 
 
-@kernel_part
+@kernel
 def expand(mean: SingleArray, number: SingleArray) -> None:
-    """Quantiles by the expansion, from the Gaussian ones in `number`, replaced; −1 where it does not settle."""
+    """Replace the Gaussian quantiles in `number` by Poisson quantiles of the expansion, or by −1 if it does not decide
+    them."""
     for i in range(number.size):
         rate, w = mean[i], number[i]
         root = np.float32(math.sqrt(rate))
@@ -130,6 +132,7 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
         x = rate + fma(w, fma(w, a, root), fma(c, square, b))
         whole = np.float32(np.floor(x))
         margin = fma(_MARGIN_SHARE, rate, fma(_MARGIN_EACH, square, _MARGIN))
+        # & instead of `and`, which would branch and prevent vectorisation.
         settled = (x - whole > margin) & (x - whole < _ONE - margin) & (abs(w) < TAIL)
         number[i] = whole if settled & (x > _ZERO) & (rate >= LOWEST) & (rate < HIGHEST) else _OPEN
 
@@ -137,6 +140,7 @@ def expand(mean: SingleArray, number: SingleArray) -> None:
 @kernel_part
 def _exp_minus(rate: np.float32) -> np.float32:
     """exp(−λ) = 2⁻ᵐ exp(−r), |r| ≤ ½ ln 2, in single precision, vectorised."""
+    # The factor 2⁻ᵐ is made of its bits: the exponent of a float, biased by 127.
     m = np.float32(np.rint(rate * _LOG2_E))
     r = fma(-m, _LN2, rate)
     power: np.float32 = polynomial(r, _EXP_MINUS) * np.int32((_EXPONENT - np.int32(m)) << _BITS).view(np.float32)
@@ -153,7 +157,8 @@ def _next(
     number: np.float32,
     near: np.float32,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Comparison with one more number, k."""
+    """One step of `compare`: update the probability of k, the cumulative probability, the count of those below u, and
+    the distance of u from the nearest of them."""
     probability = probability * (rate * np.float32(1.0 / k))
     cumulative = cumulative + probability
     return (
@@ -166,7 +171,8 @@ def _next(
 
 @kernel_part
 def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
-    """Quantiles of the means below `LOWEST` into `number`, −1 if not decided; others are unchanged."""
+    """Write the quantiles of the means below `LOWEST` to `number`, −1 if not decided; others are unchanged."""
+    # The quantile is the number of n with P(≤ n) < u. All 16 are compared for every pixel, without a branch.
     for i in range(bits.size):
         rate = mean[i]
         p = _exp_minus(rate)
@@ -178,7 +184,7 @@ def compare(bits: Bits, mean: SingleArray, number: SingleArray) -> None:
         number[i] = found if rate < LOWEST else number[i]
 
 
-@kernel_part
+@kernel
 def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     """Smallest n with P(≤ n) > u, u = (word + fraction)/2³², from the distribution function in double precision.
 
@@ -188,6 +194,7 @@ def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     """
     if mean == 0.0:
         return 0.0
+    # The smaller of u and 1 − u keeps its relative precision in both tails; the search is on that side.
     lower = word < _LOWER_HALF
     tail = (tail_words(word) + (fraction if lower else 1.0 - fraction)) * WORD
     w = upper_quantile(tail)
@@ -203,6 +210,7 @@ def quantile(word: np.uint32, fraction: float, mean: float) -> float:
     if lower:
         n = min(n, float(math.floor(mean)))  # half of the deviates exceed λ − 1 for any λ
         below = cumulative(n, mean)
+        # Down while the next smaller n still satisfies P(≤ n) > u, then up until it does.
         while n > 0 and below - probability(n, mean) > tail:
             below -= probability(n, mean)
             n -= 1.0
@@ -225,6 +233,8 @@ def probability(n: float, mean: float) -> float:
     """Poisson probability of n, computed from its distance to the peak to avoid cancellation (Loader 2000)."""
     if n == 0.0:
         return math.exp(-mean)
+    # Loader's form: P(n) = exp(−δ(n) − D(n)) / √(2πn), with δ the error of Stirling's formula and the deviance
+    # D = n ln(n/λ) + λ − n.
     if n < 16.0:
         stirling = _STIRLING[int(n)]
     else:
@@ -247,7 +257,7 @@ def probability(n: float, mean: float) -> float:
 
 @kernel_part
 def cumulative(n: float, mean: float) -> float:
-    """P(≤ n) of the Poisson distribution."""
+    """P(≤ n) of the Poisson distribution: the probability of n times the sum of the ratios to it."""
     term, total, k = 1.0, 1.0, n
     while k > 0.0 and term > 1e-17 * total:
         term *= k / mean
@@ -258,7 +268,7 @@ def cumulative(n: float, mean: float) -> float:
 
 @kernel_part
 def exceeding(n: float, mean: float) -> float:
-    """P(> n) of the Poisson distribution."""
+    """P(> n) of the Poisson distribution: the probability of n + 1 times the sum of the ratios to it."""
     term, total, k = 1.0, 1.0, n + 2.0
     while term > 1e-17 * total:
         term *= mean / k

@@ -1,7 +1,7 @@
-"""From charge to digital numbers: output node, amplifier, converter.
+"""Conversion of charge to digital numbers: output node, amplifier, converter.
 
-Kernels work in place on runs of pixels. Reset noise and read noise are Gaussian (`gaussian.py`), as sums of very many
-thermal fluctuations.
+Kernels work in place on runs of pixels. Reset noise and read noise are sums of very many thermal fluctuations and
+therefore Gaussian (`gaussian.py`).
 """
 
 from __future__ import annotations
@@ -13,13 +13,12 @@ import numpy as np
 from simulator.constants import BOLTZMANN_J_K, ELEMENTARY_CHARGE_C
 from simulator.detector.excess_noise import bunch_e
 from simulator.detector.parameters import DetectorParameters
+from startracker._compiled import kernel_part
 from startracker.core import FloatArray
 from startracker.errors import InputError
-from startracker.kernels import kernel_part
 
 SATURATION_MARGIN_SIGMA = 3.0
-"""A full pixel reads lower than its mean by more than this many standard deviations of the readout noise in 0.1 % of
-cases."""
+"""Margin of `saturation_dn`, in standard deviations of the readout noise: 0.1 % of the full pixels read lower."""
 
 
 def reset_noise_e(capacitance_f: float, temperature_c: float) -> float:
@@ -46,9 +45,9 @@ def detector_reset_noise_e(detector: DetectorParameters) -> float:
 def bend(electrons: FloatArray, full_well_e: float, second: float, third: float) -> None:
     """Signal (N,) of a slightly non-linear output stage, electrons: S (1 + c₂ s + c₃ s²), s = S / full well.
 
-    c₂ and c₃ are the relative deviations from linearity at the full well by the terms of second and third order; the
-    gain of small signals is unchanged (Janesick 2007, *Photon Transfer*, chapter 7). Two terms describe the few percent
-    of a source follower, not the knee of a saturating amplifier.
+    c₂ and c₃ are the relative deviations from linearity at the full well due to the terms of second and third order;
+    the gain of small signals is unchanged (Janesick 2007, *Photon Transfer*, chapter 7). Two terms describe the
+    non-linearity of a few percent of a source follower, not the knee of a saturating amplifier.
     """
     for i in range(electrons.size):
         relative = electrons[i] / full_well_e
@@ -96,9 +95,9 @@ def gain_e_per_dn(detector: DetectorParameters) -> float:
 
 
 def noise_gain_e_per_dn(detector: DetectorParameters) -> float:
-    """Signal over variance of the light, electrons per DN, as measured by a photon-transfer curve of large areas.
+    """Ratio of signal to variance, electrons per DN, as measured by a photon-transfer curve of large areas.
 
-    `gain_e_per_dn` without an intensifier; with one, K / (⟨g⟩ F²).
+    This is the gain K of `gain_e_per_dn` without an intensifier, and K / (⟨g⟩ F²) with one.
     """
     return gain_e_per_dn(detector) / bunch_e(detector)
 
@@ -110,14 +109,15 @@ def electronics_noise_e(detector: DetectorParameters) -> float:
 
 
 def saturation_dn(detector: DetectorParameters) -> float:
-    """DN from which a pixel counts as saturated.
+    """DN at and above which a pixel is saturated.
 
-    The largest digital number or the DN of the full well, whichever is lower. Because of the readout noise of a full
-    pixel, the latter is taken `SATURATION_MARGIN_SIGMA` below its mean; without readout noise it is the full well.
-    Rounded as by the converter.
+    It is the largest digital number or the DN of the full well, whichever is lower, rounded as by the converter. The
+    latter is reduced by `SATURATION_MARGIN_SIGMA` standard deviations of the readout noise, with which a full pixel is
+    read.
     """
     gain = gain_e_per_dn(detector)
     noise_e = electronics_noise_e(detector)
+    # At the full well, s = 1, the non-linearity is the factor 1 + c₂ + c₃.
     well_e = (detector.full_well_e - SATURATION_MARGIN_SIGMA * noise_e) * (1.0 + sum(detector.nonlinearity))
     well = well_e / gain + detector.offset_dn
     top = highest_dn(detector)

@@ -1,11 +1,11 @@
 """Helpers of kernels that the compiler vectorises: fused multiply-add, polynomials, and the rare-case mask.
 
-`fma` rounds a b + c once: polynomials take half the time and give the same result on every machine, unlike with
-optional contraction of products and sums by the compiler.
+`fma` rounds a b + c only once. Polynomials then take half the time, and give the same result on every machine; if the
+compiler may contract products and sums, results depend on the machine.
 
 A loop that branches on each element is not vectorised. A kernel therefore computes the common case for all elements,
-marks the undecided ones and processes them afterwards in blocks: `outside` counts those of a block at vector speed, and
-only blocks that contain one are searched.
+marks the undecided ones, and processes these afterwards: `outside` counts them in blocks at vector speed, and only
+blocks that contain one are searched.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from startracker.kernels import pixel_kernel
+from startracker._compiled import kernel
 
 BLOCK = 64
 
@@ -53,9 +53,10 @@ def polynomial(typing_context: Any, x: Any, coefficients: Any) -> Any:
     return types.float32(types.float32, coefficients), generate
 
 
-@pixel_kernel
+@kernel
 def outside(values: NDArray[Any], low: float, high: float) -> int:
     """Number of the values (N,) that are not in low … high; NaN counts as outside."""
+    # A sum of 32-bit numbers instead of a branch is vectorised; 64-bit ones would halve the width of the vectors.
     count = np.int32(0)
     for i in range(values.size):
         count = np.int32(count + np.int32(not ((values[i] >= low) & (values[i] <= high))))

@@ -1,7 +1,7 @@
 """Steps of the per-pixel pipeline: kernels and their values. Their order is defined in `chain.py`.
 
-A sequence begins with the steps that convert light to mean charge, if there are any: `LIGHT`, `PHOTO_RESPONSE`,
-`DARK_CURRENT`. Only these can have a separate value for each pixel, and they are applied together while the pixels are
+A sequence begins with the steps that convert light to mean charge, if it has any: `LIGHT`, `PHOTO_RESPONSE`,
+`DARK_CURRENT`. Only these can have a separate value for each pixel, and all three are applied together while a tile is
 read.
 """
 
@@ -16,8 +16,8 @@ import numpy as np
 from startracker.core import FloatArray, SingleArray
 
 TILE = 2048
-"""Pixels per tile. The noise of a seed depends on it: pixel k uses the 32 bits (k mod TILE) div (TILE/4) of the block
-with counter (k div TILE) (TILE/4) + k mod (TILE/4)."""
+"""Pixels per tile. It must not be changed, because the noise of a seed depends on it: pixel k uses the 32 bits
+(k mod TILE) div (TILE/4) of the block with counter (k div TILE) (TILE/4) + k mod (TILE/4)."""
 
 LIGHT, PHOTO_RESPONSE, DARK_CURRENT, SHOT_NOISE, CLIP, GAUSSIAN_NOISE, BEND, AMPLIFY, CONVERT = range(9)
 _BEGINNING = (LIGHT, PHOTO_RESPONSE, DARK_CURRENT)
@@ -26,12 +26,16 @@ _NO_MAP: SingleArray = np.zeros(0, dtype=np.float32)
 
 @dataclass(frozen=True)
 class Step:
-    """One effect: number of the kernel, its values, a value for each pixel, the stream or its name."""
+    """One effect on single pixels."""
 
     kernel: int
+    """Number of the kernel, such as `CLIP`."""
     values: tuple[float, ...] = ()
+    """Values that are common to all pixels."""
     map: SingleArray = field(default_factory=lambda: _NO_MAP)
+    """(N,): A value for each pixel; empty for none."""
     rng: np.random.Generator | str | None = None
+    """Random stream, or its name; None for an effect without noise."""
 
 
 def of_map(kernel: int, map_: SingleArray | FloatArray | float) -> Step:
@@ -47,18 +51,24 @@ class Collection(NamedTuple):
     is_light: bool
     """Whether the signal is light, which must be finite and not negative."""
     response: float
-    """Common to all pixels, as `dark_e_s`."""
+    """Response that is common to all pixels."""
     response_map: SingleArray
-    """Factor of each pixel, or ones for one tile if `response_mapped` is false, (N,) float32."""
+    """(N,): Factor of each pixel, or ones for one tile if `response_mapped` is false."""
     response_mapped: bool
+    """Whether each pixel has its own response."""
     dark_e_s: float
+    """Dark current that is common to all pixels, electrons per second."""
     dark_map_e_s: SingleArray
-    """Dark current of each pixel in addition to `dark_e_s`, or zeros for one tile, (N,) float32."""
+    """(N,): Dark current of each pixel in addition to `dark_e_s`, or zeros for one tile if `dark_mapped` is false."""
     dark_mapped: bool
+    """Whether each pixel has its own dark current."""
 
 
 def begin(steps: Sequence[Step]) -> tuple[Collection, list[Step]]:
-    """Charge collection, and the remaining steps."""
+    """Split a sequence of steps into charge collection and the remaining steps.
+
+    A sequence without the former gets a neutral one, so that the kernel needs no special case.
+    """
     rest, first = list(steps), {}
     for kernel in _BEGINNING:
         if rest and rest[0].kernel == kernel:
@@ -70,7 +80,7 @@ def begin(steps: Sequence[Step]) -> tuple[Collection, list[Step]]:
 
 
 def _of_pixels(step: Step | None, neutral: float) -> tuple[float, SingleArray, bool]:
-    """Common value, map of values, and whether there is one; otherwise a neutral map for one tile."""
+    """Common value, map of values, and whether each pixel has its own; otherwise the map is neutral, for one tile."""
     if step is not None and step.map.size:
         return neutral, step.map, True
     return neutral if step is None else step.values[0], np.full(TILE, neutral, dtype=np.float32), False

@@ -1,14 +1,14 @@
 """Random telegraph pixels: their dark current switches at random times between two levels.
 
-The levels have exponentially distributed durations with means τ_low and τ_high. Such a process is the same as one in
-which, at the events of a Poisson process of rate 1/τ_low + 1/τ_high, the level is drawn again, the upper one with the
+The levels have exponentially distributed durations with means τ_low and τ_high. This process is equivalent to one in
+which the level is drawn again at each event of a Poisson process of rate 1/τ_low + 1/τ_high, the upper level with the
 probability τ_high / (τ_low + τ_high): the rates of leaving the levels are then 1/τ_low and 1/τ_high (uniformisation of
 a Markov chain; Ross 2014, *Introduction to Probability Models*, chapter 6). The level at an instant is therefore that
-of the last event before it, and is found without the history of the device: time is divided into cells, each with its
-own random stream, and the cells are searched backwards. Frames of a sequence are correlated as they should be, in any
-order and on any number of workers.
+drawn at the last event before it, which can be found without the history of the device: time is divided into cells,
+each with its own random stream, and the cells are searched backwards. The levels in the frames of a sequence have the
+right correlation, in whatever order and on however many workers the frames are rendered.
 
-Valid for exposures much shorter than the durations: the level at mid-exposure holds for the exposure.
+Valid for exposures much shorter than the durations: the level at mid-exposure is used for the whole exposure.
 """
 
 from __future__ import annotations
@@ -25,8 +25,10 @@ from simulator.randomness import stream
 from startracker.core import FloatArray
 
 _FIRST_CELL = 2**40
-"""Cell of the epoch: the index of a random stream cannot be negative, and times before the epoch have cells too."""
+"""Number of the cell at the epoch. The index of a random stream cannot be negative, but times before the epoch have
+cells as well."""
 _EVENTS_PER_CELL = 2.0
+"""Mean number of events of a pixel in a cell; the length of the cells follows from it."""
 _POISSON = np.cumsum([math.exp(-_EVENTS_PER_CELL) * _EVENTS_PER_CELL**n / math.factorial(n) for n in range(24)])
 """Probability of up to n events in a cell."""
 
@@ -40,7 +42,9 @@ class TelegraphPixels:
     amplitude_e_s: FloatArray
     """(N,): Upper minus lower level."""
     process: RandomTelegraph
+    """Mean durations of the levels."""
     seed: int
+    """Seed of the run."""
 
     def is_high(self, t_s: float) -> NDArray[np.bool_]:
         """(N,): Pixels in the upper level at a time, seconds after the epoch."""
@@ -49,6 +53,7 @@ class TelegraphPixels:
         cell = first = math.floor(t_s / cell_s)
         high, open_ = np.zeros(size, dtype=bool), np.arange(size)
         while open_.size:
+            # Every cell draws numbers for all pixels, so that they do not depend on which pixels are still open.
             rng = stream(self.seed, "telegraph_cell", _FIRST_CELL + cell)
             number, level = rng.random(size), rng.random(size) < process.high_share  # of the last event of the cell
             if cell == first:
@@ -56,6 +61,7 @@ class TelegraphPixels:
                 some, level = _last_before(t_s / cell_s - cell, counts, level, rng, process.high_share)
             else:
                 some = number >= _POISSON[0]
+            # A pixel is decided by the first cell, going backwards, in which it has an event.
             found = some[open_]
             high[open_[found]] = level[open_[found]]
             open_ = open_[~found]
@@ -63,7 +69,7 @@ class TelegraphPixels:
         return high
 
     def without(self, dead: NDArray[np.bool_]) -> TelegraphPixels:
-        """The same with dead pixels (H, W), which collect no dark current, switched off."""
+        """The same pixels with an amplitude of 0 for dead ones, given by a mask (H, W)."""
         return replace(self, amplitude_e_s=np.where(dead.flat[self.pixels], 0.0, self.amplitude_e_s))
 
     def add_to(self, mean_e: FloatArray, exposure_s: float, t_s: float) -> FloatArray:
@@ -73,7 +79,7 @@ class TelegraphPixels:
 
 
 def telegraph_pixels(detector: DetectorParameters, dark_factor: float, seed: int) -> TelegraphPixels | None:
-    """Random telegraph pixels of a device; None without any.
+    """Random telegraph pixels of a device; None if there are none.
 
     Parameters
     ----------
@@ -101,15 +107,17 @@ def _last_before(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Whether each pixel has an event in the first part `within` of a cell, and the level of the last of these.
 
-    The times of n events, evenly distributed over the cell, are drawn from the last to the first: the latest of n is
-    the n-th root of a uniform deviate times the time of its successor. `last` is the level of the latest event. The
-    random numbers do not depend on `within`.
+    The times of n events, uniformly distributed over the cell, are drawn from the last to the first: the largest of n
+    uniform deviates on (0, T) has the distribution of T times the n-th root of a uniform deviate, and T is the time of
+    the event after it. `last` is the level drawn at the latest event. The random numbers do not depend on `within`, so
+    that all times of a cell see the same events.
     """
     some, level = np.zeros(len(counts), dtype=bool), np.zeros(len(counts), dtype=bool)
     pixels = np.flatnonzero(counts)
     left, now = counts[pixels], last[pixels]
     times = np.ones(len(pixels))
     while pixels.size:
+        # `left` events remain, and `now` is the level drawn at the latest of them.
         times = times * rng.random(pixels.size) ** (1.0 / left)
         inside = (times < within) & ~some[pixels]
         some[pixels[inside]] = True

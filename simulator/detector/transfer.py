@@ -1,10 +1,10 @@
-"""Charge-transfer inefficiency of a CCD: charge left behind at each transfer trails the stars.
+"""Charge-transfer inefficiency of a CCD: charge left behind at each transfer forms trails behind the stars.
 
-To first order a transfer moves each electron with the probability 1 − c, independent of the size of the packet, and
+To first order a transfer moves each electron with the probability 1 − c, independently of the size of the packet, and
 otherwise leaves it to the next packet (Janesick 2001, chapter 5). An electron that needs n transfers is therefore read
-k pixels late with the probability C(n + k − 1, k) (1 − c)ⁿ cᵏ, a negative binomial distribution; (1 − c)ⁿ is not
-delayed. Expected values are used: the noise of the deferred charge, √(n c S), is far below the shot noise. Traps with
-release times of many transfers give longer tails than this.
+k pixels late with the probability C(n + k − 1, k) (1 − c)ⁿ cᵏ, a negative binomial distribution; the fraction (1 − c)ⁿ
+is not delayed. Expected values are used, because the noise of the deferred charge, √(n c S), is far below the shot
+noise. Traps with release times of many transfers, which give longer tails, are not modelled.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.core import FloatArray
-from startracker.kernels import pixel_kernel
 
 _TAIL = 1e-17
 """Trails are truncated below this fraction of a packet."""
@@ -37,6 +37,7 @@ def transfer(electrons: FloatArray, cti_parallel: float, cti_serial: float, corn
         Position of the output node: ``top_left`` (pixel (0, 0)), ``top_right``, ``bottom_left`` or ``bottom_right``.
     """
     flip_rows, flip_columns = corner.startswith("bottom"), corner.endswith("right")
+    # The kernel transfers towards pixel (0, 0); for other corners the image is flipped before and after.
     seen = electrons[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
     late_rows, late_columns = (late_shares(n, c) for n, c in zip(seen.shape, (cti_parallel, cti_serial), strict=True))
     charge = trail(np.ascontiguousarray(seen), late_rows, late_columns)
@@ -52,6 +53,7 @@ def late_shares(pixels: int, cti: float) -> FloatArray:
     n = np.arange(1, pixels + 1, dtype=np.float64)
     share = np.exp(n * np.log1p(-cti))
     rows = [share]
+    # Fractions grow up to the most likely delay, so the loop may not end before it, however small they are.
     most_likely = pixels * cti / (1.0 - cti)
     while len(rows) < pixels and (share[-1] > _TAIL or len(rows) < most_likely):
         k = len(rows)
@@ -62,12 +64,14 @@ def late_shares(pixels: int, cti: float) -> FloatArray:
     return table
 
 
-@pixel_kernel
+@kernel
 def trail(electrons: FloatArray, late_rows: FloatArray, late_columns: FloatArray) -> FloatArray:
     """Parallel transfer towards row 0, line[r] = Σₖ late_rows[k, r − k] electrons[r − k], and serial transfer of each
     line towards column 0, out[r, x] = Σₖ late_columns[k, x − k] line[r, x − k]; a new array."""
     rows, columns = electrons.shape
     out, line = np.zeros_like(electrons), np.empty(columns)
+    # Charge from k rows nearer to the register arrives late, with this row. A row is complete before its serial
+    # transfer, as in the detector.
     for row in range(rows):
         line[:] = 0.0
         for k in range(min(late_rows.shape[0], row + 1)):

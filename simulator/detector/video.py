@@ -10,6 +10,7 @@ from simulator.detector.steps import GAUSSIAN_NOISE, Step
 from startracker.core import FloatArray
 
 _KERNEL_SIGMAS = 5.0
+"""Radius at which the impulse response is truncated, standard deviations."""
 
 
 def video_signal(signal_dn: FloatArray, video: Video, rng: np.random.Generator) -> FloatArray:
@@ -34,6 +35,8 @@ def video_signal(signal_dn: FloatArray, video: Video, rng: np.random.Generator) 
         noise = np.zeros_like(signal_dn)
         apply_steps(noise, [Step(GAUSSIAN_NOISE, (1.0,), rng=rng)], noise)
         noise = _band_limit(noise, video.line_blur_px)
+        # The blur reduces white noise by the root of the sum of squares of its impulse response, for which the noise is
+        # compensated.
         impulse = np.zeros(signal_dn.shape[1])
         impulse[len(impulse) // 2] = 1.0
         left = float(np.sqrt(np.sum(_band_limit(impulse[None, :], video.line_blur_px) ** 2)))

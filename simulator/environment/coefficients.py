@@ -18,10 +18,13 @@ class Coefficient:
     name: str
     unit: str
     value: float
+    """Nominal value."""
     low: float
+    """End of the range with the least radiation or damage."""
     high: float
+    """End of the range with the most radiation or damage."""
     source: str
-    """Reference of the value, and of the range or the reason for it; what is assumed says so."""
+    """Reference of the value and of the range, or a statement that they are assumed."""
 
     def at(self, estimate: Estimate) -> float:
         """Value for an estimate: ``low``, ``nominal`` or ``high``."""

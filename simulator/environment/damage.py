@@ -28,9 +28,10 @@ _MEV_PER_TEV = 1e6
 
 @dataclass(frozen=True)
 class Pixel:
-    """What damage needs to know of a detector."""
+    """Properties of a detector on which its damage depends."""
 
     area_um2: float
+    """Area of a pixel."""
     reference_c: float
     """Temperature to which dark currents refer."""
     transfers_charge: bool
@@ -48,22 +49,27 @@ class Damage:
     dark_current_e_s: float
     """Increase of every pixel's dark current by ionising dose."""
     displacement: DisplacementDamage
+    """Dark current by displacement damage."""
     telegraph: RandomTelegraph
+    """Random telegraph pixels by displacement damage."""
     cti_parallel: float
+    """Increase of the parallel charge-transfer inefficiency."""
     cti_serial: float
+    """Increase of the serial charge-transfer inefficiency."""
     transmission: float
-    """Of the darkened glass, relative to the new one."""
+    """Transmission of the darkened glass relative to that of the new one."""
 
     @property
     def mean_dark_e_s(self) -> float:
         """Mean increase of the dark current at the reference temperature, of all pixels and mechanisms."""
+        # Random telegraph pixels contribute only while they are in the upper level.
         moving = self.telegraph.pixel_fraction * self.telegraph.dark_e_s * self.telegraph.high_share
         return self.dark_current_e_s + self.displacement.mean_e_s + moving
 
 
 def arrhenius(temperature_k: float, reference_k: float, energy_ev: float) -> float:
     """Ratio of thermal generation at two temperatures, exp(−E/k (1/T − 1/T₀))."""
-    per_k = ELEMENTARY_CHARGE_C / BOLTZMANN_J_K * energy_ev
+    per_k = ELEMENTARY_CHARGE_C / BOLTZMANN_J_K * energy_ev  # E/k in kelvin
     return math.exp(per_k * (1.0 / reference_k - 1.0 / temperature_k))
 
 
@@ -83,12 +89,15 @@ def glass_transmission(kind: str, dose_krad: float, path_mm: float, estimate: Es
 
 def damage(detector_dose: Dose, glass_dose: Dose, pixel: Pixel, environment: Environment) -> Damage:
     """Damage of a camera by the doses of its detector and its glass."""
+    # Interactions and mean dark current are both proportional to dose and depleted volume; their ratio is the mean
+    # current of one interaction. Only CCDs transfer charge.
     estimate, dose_mev_g = environment.estimate, detector_dose.displacement_mev_g
     volume_um3 = pixel.area_um2 * environment.depletion_um
     mean_e_s = displacement_dark_e_s(dose_mev_g, volume_um3, pixel.reference_c, estimate)
     interactions = dose_mev_g / _MEV_PER_TEV * volume_um3 / coefficient("dose_per_interaction", estimate)
     telegraph = _telegraph(dose_mev_g, volume_um3, pixel.reference_c, estimate)
     moving_e_s = telegraph.pixel_fraction * telegraph.dark_e_s * telegraph.high_share
+    # The damage factor is the mean of all dark current, of which the random telegraph pixels are a part.
     steady_e_s = max(mean_e_s - moving_e_s, 0.0)
     parallel = coefficient("transfer_damage", estimate) * dose_mev_g / _MEV_PER_TEV if pixel.transfers_charge else 0.0
     return Damage(
@@ -106,7 +115,7 @@ def damage(detector_dose: Dose, glass_dose: Dose, pixel: Pixel, environment: Env
 
 
 def _telegraph(dose_mev_g: float, volume_um3: float, reference_c: float, estimate: Estimate) -> RandomTelegraph:
-    """Random telegraph pixels: those with at least one centre."""
+    """Random telegraph pixels: those with at least one centre, whose number per pixel has a Poisson distribution."""
     centres = coefficient("telegraph_centres", estimate) * dose_mev_g * volume_um3 / _UM3_PER_CM3
     warmth = arrhenius(reference_c + ZERO_CELSIUS_K, _TELEGRAPH_K, coefficient("dark_activation", estimate))
     return RandomTelegraph(

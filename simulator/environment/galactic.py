@@ -4,8 +4,8 @@ dipole.
 The local interstellar spectrum and its modulation are those of Usoskin et al. 2005 (JGR 110, A12108,
 after Burger et al. 2000); helium is 5 % of the particles at the same energy per nucleon. A particle reaches a position
 if its rigidity exceeds Störmer's vertical cut-off of the tilted centred dipole, R_c = 14.9 GV cos⁴λ / (r/R)² (Smart &
-Shea 2005, Adv. Space Res. 36, 2012); the penumbra, the cut-off's dependence on direction, albedo particles and nuclei
-heavier than helium (1 % of the number) are neglected. The Earth hides the directions below its horizon.
+Shea 2005, Adv. Space Res. 36, 2012). The Earth hides the directions below its horizon. Neglected: the penumbra, the
+dependence of the cut-off on direction, albedo particles, and nuclei heavier than helium (1 % of the number).
 """
 
 from __future__ import annotations
@@ -32,14 +32,16 @@ DIPOLE_AXIS = np.array(
         math.sin(math.radians(80.65)),
     ]
 )
-"""Geomagnetic north pole in the Earth's frame, IGRF-13, 2020."""
+"""Geomagnetic north pole in the Earth-fixed frame (latitude 80.65°, longitude −72.68°), IGRF-13, 2020."""
 
 
 class Nucleus(NamedTuple):
     """Kind of cosmic ray."""
 
     mass_number: int
+    """Number of nucleons."""
     charge: int
+    """Charge in elementary charges."""
     share: float
     """Number relative to protons at the same energy per nucleon outside the heliosphere."""
 
@@ -62,6 +64,7 @@ def intensity(kind: Nucleus, energy_gev: ArrayLike, modulation_mv: float) -> Flo
         Modulation potential φ.
     """
     energy = np.asarray(energy_gev, dtype=float)
+    # In the force-field approximation a particle has lost the energy φ Z/A per nucleon on its way to the Earth.
     outside = energy + modulation_mv * 1e-3 * kind.charge / kind.mass_number
     rest = 2.0 * PROTON_GEV
     momentum = np.sqrt(outside * (outside + rest))
@@ -94,7 +97,9 @@ class GalacticCosmicRays:
         for kind in (PROTON, HELIUM):
             density = factor * intensity(kind, _GRID_GEV, modulation_mv)
             steps = 0.5 * (density[1:] + density[:-1]) * np.diff(_GRID_GEV)
+            # The flux above each energy is accumulated from the top, where it is small, to keep its digits.
             above = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+            # Rigidity is momentum per charge; the grid is in energy per nucleon.
             rest = PROTON_GEV if kind is PROTON else NUCLEON_GEV
             momentum = np.sqrt(_GRID_GEV * (_GRID_GEV + 2.0 * rest)) * kind.mass_number / kind.charge
             self._above.append((momentum, above))

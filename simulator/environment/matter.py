@@ -19,7 +19,7 @@ MM_PER_CM = 10.0
 RAD_PER_MEV_G = 1.602_176_634e-8
 """1 rad = 100 erg/g."""
 
-# MeV; aluminium: MeV cm²/g, g/cm²; silicon: MeV cm²/g, MeV cm²/g
+# Columns: MeV; aluminium, MeV cm²/g and g/cm²; silicon, MeV cm²/g and MeV cm²/g (see below).
 _PROTONS = np.array(
     [
         (0.1, 395.5, 3.602e-4, 284.2, 0.4798),
@@ -62,11 +62,17 @@ class Medium(NamedTuple):
     excitation_ev: float
     """Mean excitation energy I."""
     minus_c: float
+    """Sternheimer's −C."""
     a: float
+    """Sternheimer's a."""
     exponent: float
+    """Sternheimer's exponent, m or k."""
     x_low: float
+    """Sternheimer's x₀, below which a conductor has the density effect δ(x₀) 10^(2 (x − x₀))."""
     x_high: float
+    """Sternheimer's x₁, above which the density effect is linear in x."""
     delta_low: float
+    """Sternheimer's δ(x₀)."""
 
 
 ALUMINIUM = Medium(0.48181, 166.0, 4.2395, 0.08024, 3.6345, 0.1708, 3.0127, 0.12)
@@ -78,6 +84,7 @@ _COLLISION_MEV_CM2_G = 0.153_537
 
 
 def _power_law(x: ArrayLike, points: FloatArray, values: FloatArray) -> FloatArray:
+    # Linear in logarithms, which is a power law between two points.
     return np.asarray(np.exp(np.interp(np.log(x), np.log(points), np.log(values))))
 
 
@@ -125,7 +132,7 @@ def electron_stopping(energy_mev: ArrayLike, medium: Medium = SILICON) -> FloatA
 
 
 def _density_effect(x: FloatArray, medium: Medium) -> FloatArray:
-    """Sternheimer's δ at x = lg βγ."""
+    """Sternheimer's δ at x = log₁₀ βγ."""
     rising = 2.0 * math.log(10.0) * x - medium.minus_c
     bend = medium.a * np.maximum(medium.x_high - x, 0.0) ** medium.exponent
     low = medium.delta_low * 10.0 ** (2.0 * (x - medium.x_low))

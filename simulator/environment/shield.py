@@ -19,11 +19,13 @@ from simulator.environment.spectrum import Spectrum
 from startracker.core import FloatArray
 
 _LEAST_PROTON_MEV, _LEAST_ELECTRON_MEV = 0.1, 0.04
+"""Energies behind the shield below which particles are neglected."""
 _POINTS = 1500
+"""Points of the integral over energies."""
 
 
 def shield_g_cm2(shield_mm: float) -> float:
-    """Areal density of aluminium."""
+    """Areal density of aluminium of a given thickness."""
     return shield_mm / matter.MM_PER_CM * matter.ALUMINIUM_G_CM3
 
 
@@ -33,14 +35,14 @@ def incident_proton_mev(behind_mev: FloatArray | float, shield_mm: float) -> Flo
 
 
 def least_electron_mev(shield_mm: float) -> float:
-    """Least energy of electrons that cross the shield."""
+    """Minimum energy of electrons that cross the shield."""
     return float(matter.electron_energy_mev(max(shield_g_cm2(shield_mm), 1e-4)))
 
 
 def proton_dose_mev_g(
     spectrum: Spectrum, shield_mm: float, loss: Callable[[FloatArray], FloatArray] = matter.proton_stopping_silicon
 ) -> float:
-    """∫ loss(E behind) φ(E) dE, MeV/g for a fluence (MeV/g/s for a flux) of protons.
+    """Dose behind a shield, ∫ loss(E behind) φ(E) dE, MeV/g for a fluence (MeV/g/s for a flux) of protons.
 
     Parameters
     ----------
@@ -60,6 +62,7 @@ def electron_dose_mev_g(spectrum: Spectrum, shield_mm: float) -> float:
     thickness = shield_g_cm2(shield_mm)
 
     def loss(energy: FloatArray) -> FloatArray:
+        # The residual range behind the shield gives the energy there, and the energy its loss in silicon.
         rest = np.maximum(matter.electron_range_g_cm2(energy) - thickness, 1e-9)
         return matter.electron_stopping(matter.electron_energy_mev(rest))
 
@@ -73,13 +76,14 @@ def _behind(energy_mev: FloatArray, shield_mm: float) -> FloatArray:
 
 
 def _dose(spectrum: Spectrum, least_mev: float, loss: Callable[[FloatArray], FloatArray]) -> float:
-    """Integral over the energies from the least that crosses the shield; the steps are finest where the particle almost
-    stops."""
+    """Integral over the energies that cross the shield, with the finest steps at the lower end, where the particles
+    almost stop and their energy loss varies most."""
     low, top = max(least_mev, float(spectrum.energy_mev[0])), float(spectrum.energy_mev[-1])
     if low >= top:
         return 0.0
+    # Geometric steps of the energy above the limit; the first edge is then moved to the limit itself.
     edges = low * (1.0 + np.geomspace(1e-5, top / low - 1.0, _POINTS))
     edges[0] = low
     middle = np.sqrt(edges[1:] * edges[:-1])
-    number = -np.diff(spectrum.integral(edges))
+    number = -np.diff(spectrum.integral(edges))  # particles between two energies
     return float(np.sum(number * loss(middle)))

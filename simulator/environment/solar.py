@@ -1,7 +1,8 @@
 """Protons of anomalously large solar proton events (King 1974, J. Spacecraft Rockets 11, 401).
 
-The fluence of one event above an energy is 7.9 × 10⁹ exp((30 − E) / 26.5) protons/cm², E in MeV: the event of August
-1972. King's model predicts zero to a few of them in a solar cycle; the number is the scenario's.
+The fluence of one event above an energy E is 7.9 × 10⁹ exp((30 − E) / 26.5) protons/cm², E in MeV, which is that of the
+event of August 1972. King's model predicts zero to a few such events in a solar cycle; their number is a parameter of
+the scenario.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ def event_fluence(events: float) -> Spectrum:
 
 
 def reaching(fluence: Spectrum, transmission: FloatArray) -> Spectrum:
-    """Fluence in an orbit.
+    """Fluence of solar protons that reaches an orbit.
 
     Parameters
     ----------
@@ -34,6 +35,7 @@ def reaching(fluence: Spectrum, transmission: FloatArray) -> Spectrum:
     -----
     Protons between two energies arrive with the mean of the fractions at both.
     """
+    # Particles in each interval of energy are attenuated, and their sum from above is the new integral spectrum.
     between = -np.diff(fluence.above) * 0.5 * (transmission[1:] + transmission[:-1])
     last = fluence.above[-1] * transmission[-1]
     return Spectrum(fluence.energy_mev, np.append(np.cumsum(between[::-1])[::-1] + last, last))

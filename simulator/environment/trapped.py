@@ -1,11 +1,12 @@
 """Protons and electrons trapped in the Earth's magnetic field: AP-8 and AE-8 (Sawyer & Vette 1976; Vette 1991).
 
-The maps give the omnidirectional flux by McIlwain's L and B/B₀, which must be computed with the field for which they
-were made: that of Jensen & Cain (1962) for epoch 1960, and for AP-8 at solar maximum GSFC 12/66 for 1970. With today's
-weaker field the flux at low altitude comes out several times too large. As the South Atlantic Anomaly has since drifted
-to the west by 0.3° a year, positions are rotated to the east by the drift since that epoch, as UNILIB does.
+The maps give the omnidirectional flux as a function of McIlwain's L and B/B₀, which must be computed with the field
+model for which the maps were made: Jensen & Cain (1962) for epoch 1960, and for AP-8 at solar maximum GSFC 12/66 for
+epoch 1970. With today's weaker field the flux at low altitude would be several times too large. Because the South
+Atlantic Anomaly has since drifted to the west by 0.3° per year, positions are rotated to the east by the drift since
+that epoch, as in UNILIB.
 
-Maps and fields come from IRBEM through the package aep8.
+Maps and field models are those of IRBEM, through the package aep8.
 """
 
 from __future__ import annotations
@@ -56,9 +57,11 @@ PROTON_MEV = np.array(
     ]
 )
 ELECTRON_MEV = np.concatenate([[0.05, 0.07], np.arange(1, 10) / 10.0, np.arange(4, 29) / 4.0])
-"""Energies of spectra; the maps end at 400 and 7 MeV. IRBEM gives no electrons, rather than more, below 0.05 MeV."""
+"""Energies of spectra; the maps end at 400 MeV and 7 MeV. Below 0.05 MeV IRBEM returns no electrons, where there are
+more, so the spectrum starts there."""
 
 _BLOCK = 4096
+"""Positions that are computed at once, which limits memory."""
 
 
 class TrappedBelts:
@@ -107,7 +110,7 @@ class TrappedBelts:
             block = itrs_km[start : start + _BLOCK]
             shells = _shells(self._protons, block, year - _EPOCHS[self.solar])
             protons = _above(self._protons, shells, proton_mev)
-            if self.solar == "max" and len(electron_mev):  # another field than the protons'
+            if self.solar == "max" and len(electron_mev):  # at solar maximum the electrons have another field
                 shells = _shells(self._electrons, block, year - _EPOCHS["min"])
             parts.append((protons, _above(self._electrons, shells, electron_mev)))
         protons, electrons = (np.concatenate(kind) for kind in zip(*parts, strict=True))
@@ -126,6 +129,8 @@ def _shells(model: Any, itrs_km: FloatArray, years: float) -> tuple[FloatArray, 
     from astropy.coordinates import EarthLocation
     from astropy.time import Time
 
+    # The rotation to the east, against the drift, gives a position the longitude relative to the anomaly that it would
+    # have had at the epoch of the field.
     angle = np.radians(DRIFT_DEG_YEAR * years)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
     location = EarthLocation.from_geocentric(*(turn @ itrs_km.T), unit=units.km)
@@ -136,13 +141,13 @@ def _shells(model: Any, itrs_km: FloatArray, years: float) -> tuple[FloatArray, 
 
 
 def _above(model: Any, shells: tuple[FloatArray, FloatArray], energy_mev: FloatArray) -> FloatArray:
-    """Flux above energies, (N, E)."""
+    """Flux above energies (E,) at field lines (N,): (N, E), particles/cm²/s."""
     from astropy import units
 
     shell, field = (part[:, None] for part in shells)
     with np.errstate(invalid="ignore"):
         flux = model.integral_flux_for_geomagnetic_coordinates(shell, field, np.asarray(energy_mev) * units.MeV)
-    return np.asarray(np.nan_to_num(flux.value, nan=0.0))  # open field lines trap nothing
+    return np.asarray(np.nan_to_num(flux.value, nan=0.0))  # open field lines trap no particles
 
 
 def _models(solar: str) -> tuple[Any, Any]:

@@ -1,7 +1,8 @@
 """Attitude ephemeris messages, CCSDS 504.0-B-1 and 504.0-B-2, read from KVN and XML.
 
-The quaternion (Q1, Q2, Q3, QC) of the standard describes the coordinate transformation from frame A to frame B, as ours
-does; Euler angles are successive rotations of the axes about the axes that result from the one before.
+The quaternion (Q1, Q2, Q3, QC) of the standard describes the coordinate transformation from frame A to frame B, which
+is the convention of this package as well. Euler angles are intrinsic: each rotation is about an axis of the frame that
+results from the rotations before it.
 """
 
 from __future__ import annotations
@@ -57,8 +58,8 @@ _TYPES: dict[str, tuple[tuple[str, ...], int]] = {
     "SPIN/NUTATION": ((*_SPIN, "NUTATION", "NUTATION_PER", "NUTATION_PHASE"), 7),
     "SPIN/NUTATION_MOM": ((*_SPIN, "MOMENTUM_ALPHA", "MOMENTUM_DELTA", "NUTATION_VEL"), 7),
 }
-"""Numbers that are used of each type, and those of a line: rates of the first version (RATE), whose definition that
-version leaves open, are not used."""
+"""For each attitude type the columns that are used, and the count of numbers on a line. The rates of the types RATE are
+not used, because the first version of the standard does not define their axes."""
 _AXES = {"1": "X", "2": "Y", "3": "Z", "X": "X", "Y": "Y", "Z": "Z"}
 _GIVES: dict[str, Literal["body", "camera"]] = {
     "SC_BODY": "body",
@@ -66,7 +67,8 @@ _GIVES: dict[str, Literal["body", "camera"]] = {
     "AST": "camera",
     "CAMERA": "camera",
 }
-"""What frames are, by their names without a number (SANA's registry of spacecraft body reference frames)."""
+"""Whether a frame is that of the body or of the camera, by its name without a number (SANA's registry of spacecraft
+body reference frames)."""
 
 
 class AemSegments(NamedTuple):
@@ -74,19 +76,20 @@ class AemSegments(NamedTuple):
 
     segments: list[AttitudeSegment]
     gives: Literal["body", "camera"] | None
-    """What the frame that is not inertial is, by its name; None if the name leaves it open."""
+    """Whether the frame that is not inertial is that of the body or of the camera; None if its name does not show
+    it."""
     frame: str
-    """Its name, with its file and line."""
+    """Name of that frame, with its file and line."""
 
 
 def read_aem(path: Path, clock: Clock, wanted: str | None) -> AemSegments:
     """Segments of an attitude ephemeris message.
 
-    Segments are interpolated by themselves, by the method and degree that they name, and only within their usable span:
-    LINEAR and LAGRANGE through the components of the quaternions, HERMITE through components and derivatives (of the
-    types DERIVATIVE and ANGVEL), the result normalised; SLERP, also where none is named, by rotation at a constant
-    rate. Euler angles are converted to quaternions first. Attitudes of the types SPIN move between their states by
-    their own rates (`simulator.mission.spinning`), whatever the method.
+    Each segment is interpolated on its own, by the method and degree that it names, and only within its usable span:
+    LINEAR and LAGRANGE interpolate the components of the quaternions, HERMITE the components and their derivatives
+    (types DERIVATIVE and ANGVEL), and the result is normalised; SLERP, which is also the default, rotates at a constant
+    rate. Euler angles are converted to quaternions first. Attitudes of the types SPIN are propagated from state to
+    state by their own rates (`simulator.mission.spinning`), whatever the method.
 
     Parameters
     ----------
@@ -119,13 +122,14 @@ def _layout(written: WrittenSegment) -> Layout:
     if not columns:
         known = ", ".join(_TYPES)
         raise InputError(f"{given.position}: attitude type {given.value} is not supported; use {known}")
+    # Quaternion and derivative are four columns each, and the scalar comes first in both.
     if columns[0] == "Q1" and _scalar_first(written):
         columns = tuple(name for start in (0, 4) for name in _rotated(columns[start : start + 4]))
     return Layout(columns, (count,))
 
 
 def _scalar_first(written: WrittenSegment) -> bool:
-    """Whether QC is the first number of a line: in the first version of the standard by a keyword."""
+    """Whether QC is the first number of a line, which the first version of the standard permits by a keyword."""
     if "QUATERNION_TYPE" not in written.keys:
         return False
     item = written.keys["QUATERNION_TYPE"]
@@ -135,13 +139,14 @@ def _scalar_first(written: WrittenSegment) -> bool:
 
 
 def _rotated(columns: tuple[str, ...]) -> tuple[str, ...]:
-    """Components with the scalar first; others as they are."""
+    """Quaternion components with the scalar first; other columns are returned unchanged."""
     return (columns[3], *columns[:3]) if columns[3:] and columns[3].startswith("QC") else columns
 
 
 def _other_frame(written: WrittenSegment) -> Item:
     """Entry of the frame that is not inertial."""
     a, b = written.item("REF_FRAME_A"), written.item("REF_FRAME_B")
+    # Exactly one of the two must be a known inertial or Earth-fixed frame.
     if bool(named_frame(a.value)) == bool(named_frame(b.value)):
         known = ", ".join(FRAMES)
         raise InputError(f"{a.position}: attitudes from {a.value} to {b.value}; one of the two must be of {known}")
@@ -153,6 +158,8 @@ def _segment(written: WrittenSegment, clock: Clock) -> AttitudeSegment:
     t_s, (first_s, last_s) = segment_times(written, clock, _REQUIRED)
     positions = [item.position for item in written.epochs]
     forward = named_frame(written.value("REF_FRAME_A")) != ""
+    # The quaternions go from A to B unless ATTITUDE_DIR says the opposite; `forward` is whether they start in the
+    # inertial frame.
     if "ATTITUDE_DIR" in written.keys:
         direction = written.keys["ATTITUDE_DIR"]
         if direction.value.upper() not in ("A2B", "B2A"):
@@ -178,7 +185,7 @@ def _segment(written: WrittenSegment, clock: Clock) -> AttitudeSegment:
 def _spinning(
     t_s: FloatArray, columns: dict[str, FloatArray], positions: list[str], *, forward: bool
 ) -> SpinningStates:
-    """Attitudes of a spinning body, with each state compared with the motion from the one before."""
+    """Attitudes of a spinning body, after a check that each state agrees with the motion from the state before."""
     if "NUTATION_PER" in columns and (wrong := np.flatnonzero(columns["NUTATION_PER"] <= 0.0)).size:
         raise InputError(f"{positions[wrong[0]]}: NUTATION_PER must be above 0 s")
     along = spinning(t_s, columns, reverse=not forward)
@@ -196,6 +203,8 @@ def _quaternions(written: WrittenSegment, columns: dict[str, FloatArray]) -> tup
     quaternions = of(_COMPONENTS) if angles is None else _from_euler(written, angles)
     assert quaternions is not None
     angular, euler_rates = of(_ANGULAR), of(_ANGLE_RATES)
+    # For Euler angles ANGVEL_FRAME is optional; without it the axes of the angular velocity are unknown, and it is
+    # ignored.
     if angular is not None and (angles is None or "ANGVEL_FRAME" in written.keys):
         return quaternions, _derivatives(quaternions, _in_frame_b(written, quaternions, np.radians(angular)))
     if angles is not None and euler_rates is not None:
@@ -215,9 +224,13 @@ def _in_frame_b(written: WrittenSegment, quaternions: FloatArray, rate: FloatArr
 
 
 def _angular_velocity(written: WrittenSegment, degrees: FloatArray, rates: FloatArray) -> FloatArray:
-    """Angular velocities (N, 3) in axes of B by the rates (N, 3) of Euler angles: each rate is about its own axis,
-    which the rotations that follow take into B."""
+    """Angular velocities (N, 3), axes of B, from the rates (N, 3) of Euler angles.
+
+    Each rate is about the axis of its own rotation; the rotations that follow transform that axis into B.
+    """
     axes = _sequence(written)
+    # From the last rotation, whose axis is an axis of B already, to the first; `following` accumulates the rotations
+    # after the current one.
     total, following = np.zeros_like(rates), Rotation.identity(len(rates))
     for k in (2, 1, 0):
         about = np.zeros_like(rates)

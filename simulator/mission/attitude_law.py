@@ -12,8 +12,8 @@ from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 
 _STEP_S = 0.01
-"""Half of the interval of the numerical rate: relative error (ω h)²/6 of a steady rate, 4e-8 s of rounding in times of
-a year."""
+"""Half of the interval h of the numerical derivative. The truncation error of a constant rate is (ω h)²/6 of it; a
+smaller interval would suffer from the rounding of times, 4e-8 s after a year."""
 
 
 @runtime_checkable
@@ -39,7 +39,8 @@ def law_attitude(law: AttitudeLaw, t_s: float) -> Attitude:
 def law_rate_rad_s(law: AttitudeLaw, t_s: float) -> FloatArray:
     """Inertial angular velocity (3,) in the law's own axes, rad/s: the mean over 0.02 s, within the span."""
     first, last = law.span_s
-    times = np.array([t_s, max(t_s - _STEP_S, first), min(t_s + _STEP_S, last)])  # the first for the law's own errors
+    # The time itself is evaluated as well, so that a law raises its error for it and not for a neighbouring time.
+    times = np.array([t_s, max(t_s - _STEP_S, first), min(t_s + _STEP_S, last)])
     low, high = (Attitude(q, "icrs", "local_level") for q in law.quaternions(times)[1:])
     turned_s = float(times[2] - times[1])
     return low.rotation_vector_to(high) / turned_s if turned_s > 0.0 else np.zeros(3)
@@ -49,6 +50,7 @@ def from_matrices(matrices: FloatArray) -> FloatArray:
     """Quaternions (T, 4) of matrices (T, 3, 3) that transform coordinates, ``v_target = matrix @ v_source``."""
     if not len(matrices):
         return np.empty((0, 4))
+    # SciPy's rotations act on vectors; the quaternion of a coordinate transformation is that of the transposed matrix.
     return np.asarray(Rotation.from_matrix(np.swapaxes(matrices, -1, -2)).as_quat())
 
 
@@ -56,11 +58,13 @@ def after(first: FloatArray, second: FloatArray) -> FloatArray:
     """Quaternions (T, 4) of the transformation `second` after `first`, each (T, 4) or (4,)."""
     if not first.size or not second.size:
         return np.empty((0, 4))
+    # For coordinate transformations the order is the reverse of that of rotations of vectors.
     return np.asarray((Rotation.from_quat(first) * Rotation.from_quat(second)).as_quat())
 
 
 def body_of(quaternions: FloatArray, mounting: FloatArray | None) -> FloatArray:
-    """Quaternions (T, 4) ICRS → body of a camera's, given its mounting (4,), body → camera; the same if None."""
+    """Quaternions (T, 4) ICRS → body from those of a camera and its mounting (4,), body → camera; returned unchanged
+    without a mounting."""
     if mounting is None:
         return quaternions
     return after(quaternions, mounting * np.array([-1.0, -1.0, -1.0, 1.0]))

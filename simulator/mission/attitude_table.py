@@ -27,10 +27,10 @@ QUATERNION_COLUMNS = ("qx", "qy", "qz", "qw")
 LOCAL_LEVEL = "local_level"
 """Axes of the local level (`simulator.mission.pointing.local_level`)."""
 LENGTH_TOLERANCE = 1e-3
-"""Difference of a quaternion's length from 1 that is rounding of a file with few decimals; more is an error."""
+"""Deviation of a quaternion's length from 1 that is accepted as the rounding of a file with few decimals."""
 _BORESIGHT_TOLERANCE_DEG = 0.01
 LARGEST_STEP_DEG = 170.0
-"""Maximum rotation between two attitudes of a table; beyond half a turn they do not determine its direction."""
+"""Maximum rotation between two attitudes of a table; beyond 180° its direction would be ambiguous."""
 
 
 class Interpolation(Protocol):
@@ -114,6 +114,8 @@ def continuous(quaternions: FloatArray, positions: Sequence[str]) -> tuple[Float
             f"{positions[k]}: the quaternion has a length of {length[k]:.6g}; attitudes are unit quaternions"
         )
     unit = quaternions / length[:, None]
+    # The scalar product of two unit quaternions is the cosine of half the angle between them, up to the sign: q and −q
+    # are the same attitude.
     agreement = np.sum(unit[1:] * unit[:-1], axis=1)
     if (far := np.flatnonzero(np.abs(agreement) < math.cos(math.radians(LARGEST_STEP_DEG / 2.0)))).size:
         k = far[0]
@@ -131,23 +133,25 @@ class AttitudeSegment:
     """Attitudes over a span."""
 
     first_s: float
+    """Beginning of the usable span, seconds after the epoch."""
     last_s: float
-    """Usable span, seconds after the epoch."""
+    """End of the usable span."""
     frame: str
-    """Axes that the quaternions start from (`simulator.mission.frames.to_frame`, or ``local_level``), in which they are
-    interpolated."""
+    """Axes from which the quaternions transform (`simulator.mission.frames.to_frame`, or ``local_level``), and in which
+    they are interpolated."""
     quaternions: Interpolation
-    """From those axes to the axes of the law."""
+    """Quaternions from those axes to the axes of the law."""
 
 
 @dataclass(frozen=True, eq=False)
 class TabulatedAttitude:
-    """Segments in order of time. Where two overlap, the later one holds; between two that leave a gap, and outside of
-    all, there is no attitude."""
+    """Segments in order of time. Where two overlap, the later one is used; in a gap between two, and outside all of
+    them, there is no attitude."""
 
     clock: Clock
     """Epoch."""
     segments: tuple[AttitudeSegment, ...]
+    """The segments by their first times."""
     name: str
     """The file, for messages."""
     mounting: FloatArray | None
@@ -179,6 +183,7 @@ class TabulatedAttitude:
         return body_of(piecewise(parts, self.clock, t_s, self.name, "attitudes"), self.mounting)
 
     def _of(self, segment: AttitudeSegment, t_s: FloatArray) -> FloatArray:
+        # The interpolation is in the frame of the segment, as the standards require; the result is transformed to ICRF.
         own = segment.quaternions(t_s)
         if segment.frame == "icrf":
             return own
@@ -202,8 +207,8 @@ def read_attitude_table(
 
     Its columns are ``utc`` (ISO 8601) or ``t_s`` (seconds after the scenario's epoch), and ``qx``, ``qy``, ``qz``,
     ``qw``: the unit quaternion, scalar last, that transforms coordinates from the axes `frame` to those of the body or
-    the camera. The quaternions of a camera are compared with ``ra_deg`` and ``dec_deg`` of its boresight (ICRS), where
-    the table has them: they show a quaternion of another convention.
+    the camera. If the table has the columns ``ra_deg`` and ``dec_deg``, the boresight of the camera (ICRS), they are
+    compared with the quaternions, which detects a quaternion of another convention.
 
     Parameters
     ----------
@@ -218,7 +223,7 @@ def read_attitude_table(
     mounting : array, shape (4,), optional
         Quaternion from body to camera, if the table has the attitudes of the camera.
     orbit : Trajectory, optional
-        Trajectory of the spacecraft, without which attitudes relative to ``local_level`` are read, but not evaluated.
+        Trajectory of the spacecraft. Without it, attitudes relative to ``local_level`` can be read, but not evaluated.
 
     Raises
     ------
@@ -241,6 +246,7 @@ def _compare_directions(quaternions: FloatArray, stated_rad: FloatArray, positio
     boresight = Rotation.from_quat(quaternions).apply([0.0, 0.0, 1.0])
     ra, dec = stated_rad.T
     stated = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+    # The angle follows from the chord, because arccos loses all digits of a small angle.
     off_deg = np.degrees(2.0 * np.arcsin(np.minimum(np.linalg.norm(boresight - stated, axis=1) / 2.0, 1.0)))
     if (wrong := np.flatnonzero(~(off_deg < _BORESIGHT_TOLERANCE_DEG))).size:
         k = wrong[0]

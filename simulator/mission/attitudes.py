@@ -1,4 +1,4 @@
-"""The attitude law of a scenario's ``pointing`` section, by what the section gives."""
+"""Build the attitude law of a scenario's ``pointing`` section."""
 
 from __future__ import annotations
 
@@ -53,11 +53,16 @@ def build_attitude_law(parameters: PointingParameters, orbit: Trajectory, folder
 def attitude_from_file(
     section: AttitudeSource, clock: Clock, mounting: FloatArray, folder: Path, orbit: Trajectory | None = None
 ) -> AttitudeLaw:
-    """Law of the file of a section; `mounting` (4,), body → camera, is applied to attitudes of the camera. Without the
-    trajectory a table relative to the local level can be read, but not evaluated."""
+    """Attitude law from the file of a section.
+
+    The inverse of `mounting` (4,), body → camera, is applied to attitudes of the camera. Without the trajectory, a
+    table relative to the local level can be read, but not evaluated.
+    """
     if len(section.sources) > 1:
         given = " and ".join(section.sources)
         raise InputError(f"pointing.attitude: {given} both define the attitude; remove one of them")
+    # Only an AEM can state whether its attitudes are those of the body or of the camera; other files have them of the
+    # body unless the section says otherwise.
     kind = section.sources[0]
     path = folder / str(getattr(section, kind))
     if kind == "aem":

@@ -1,8 +1,8 @@
 """Navigation messages of CCSDS (502.0-B-1 to B-3, 504.0-B-1 and B-2, 505.0-B-1 to B-3) as a stream of keys and values
 with their lines.
 
-KVN, ``KEY = value`` on each line, and XML give the same stream: an element with text is a key with its value, and a
-block (``META_START`` … ``META_STOP`` in KVN, ``<metadata>`` in XML) opens and closes.
+Both notations, KVN (``KEY = value`` on each line) and XML, give the same stream: an element with text is a key with its
+value, and a block (``META_START`` … ``META_STOP`` in KVN, ``<metadata>`` in XML) is an opening and a closing entry.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ _BLOCKS = {
     "stateVector": "STATE",
     "attitudeState": "STATE",
 }
-"""Names of the blocks in XML; those of other elements are their own."""
+"""Names of the blocks by XML element; any other element is a block of its own name."""
 _ROTATIONS = {"rotationAngles": "ANGLE_{}", "rotationRates": "ANGLE_{}_DOT"}
 """Keys of the elements ``rotation1`` to ``rotation3`` (505.0-B-1) by the element around them."""
 _NUMBER_WITH_UNIT = re.compile(r"([-+.\d][-+.\deEdD]*)\s*\[(.*)\]")
 _VERSIONS = {"OEM": ("1", "2", "3"), "OMM": ("1", "2", "3"), "AEM": ("1", "2")}
-"""Versions that are read, by their first number."""
+"""Supported versions: the number before the decimal point."""
 _MESSAGES = ("AEM", "ACM", "APM", "CDM", "OCM", "OEM", "OMM", "OPM", "RDM", "TDM")
 _UNITS = {
     "km": ("X", "Y", "Z", "SEMI_MAJOR_AXIS"),
@@ -80,6 +80,7 @@ def read_items(path: Path, kind: str) -> list[Item]:
     """
     hint = f"give a file of a CCSDS {kind}"
     data = read_bytes(path, MESSAGE_BYTES, hint)
+    # XML starts with "<", after a byte order mark (UTF-8, or UTF-16 in either order) and white space.
     if data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"<" or (data[:2] in (b"\xff\xfe", b"\xfe\xff") and b"<" in data[:4]):
         return _XmlReader(path, kind).read(data)
     items = list(_kvn(path, as_text(data, path, hint)))
@@ -100,7 +101,7 @@ def _check_version(item: Item, kind: str) -> None:
 
 
 def _item(position: str, key: str, value: str, unit: str = "", axis: str = "") -> Item:
-    """An entry; `InputError` if its unit is not that of its key."""
+    """Create an entry; `InputError` if its unit is not the standard's unit of the key."""
     expected = _UNIT_OF.get(key)
     if unit and expected and re.sub(r"\s", "", unit).lower().replace("[earthradii]", "er") != expected:
         raise InputError(f"{position}: {key} is in {unit}; the standard has {expected}, in which the value is needed")
@@ -116,7 +117,7 @@ def _kvn(path: Path, text: str) -> Iterator[Item]:
             yield Item(position, ("+" if match[2] == "START" else "-") + match[1], "")
         elif "=" in line:
             key, _, value = (part.strip() for part in line.partition("="))
-            # brackets belong to the value of a text, such as a name
+            # Brackets are a unit only after a number; those in a text, such as a name, belong to the value.
             found = _NUMBER_WITH_UNIT.fullmatch(value)
             yield _item(position, key, *((found[1], found[2]) if found else (value,)))
         else:
@@ -124,18 +125,22 @@ def _kvn(path: Path, text: str) -> Iterator[Item]:
 
 
 class _Element(NamedTuple):
-    """An element that is open."""
+    """An element of XML that has begun and not ended yet."""
 
     name: str
+    """Tag, without the prefix of a namespace."""
     position: str
+    """File and line."""
     attributes: dict[str, str]
     is_block: bool = False
-    """Whether it has elements within."""
+    """Whether it contains other elements."""
 
 
 class _XmlReader:
-    """Entries of a message in XML, by expat, which knows its lines; of several messages in one file (an NDM), those of
-    the wanted kind."""
+    """Reader of a message in XML.
+
+    It uses expat because that parser gives the line of every element. Of several messages in one file (an NDM), those
+    of one kind are read."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self._path, self._kind = path, kind
@@ -157,6 +162,7 @@ class _XmlReader:
             raise InputError(f"{self._path}:{error.lineno}: damaged or truncated XML ({reason})") from error
         except (LookupError, ValueError) as error:
             raise InputError(f"{self._path}:1: XML in an encoding that cannot be read ({error}); use UTF-8") from error
+        # Every known message in the file has been recorded, so that the error can name what the file contains.
         if self._kind not in self._found:
             other = f"; this is a CCSDS {', '.join(sorted(self._found))}" if self._found else ""
             raise InputError(f"{self._path}:1: no CCSDS {self._kind}; it has no element <{self._kind.lower()}>{other}")
@@ -169,7 +175,8 @@ class _XmlReader:
         return any(element.name == self._kind.lower() for element in self._open)
 
     def _starts(self, tag: str, attributes: dict[str, str]) -> None:
-        name = tag.rpartition(":")[2]
+        name = tag.rpartition(":")[2]  # without the prefix of a namespace
+        # The element around this one is now known to be a block; elements without others inside are keys.
         if self._open and not self._open[-1].is_block:
             outer = self._open[-1] = self._open[-1]._replace(is_block=True)
             if self._inside():
@@ -193,6 +200,7 @@ class _XmlReader:
             self._items.append(Item(self._position(), f"-{_BLOCKS.get(element.name, element.name)}", ""))
         elif element.name != "COMMENT":
             key, given = element.name, element.attributes
+            # Version 1 of AEM in XML numbers the rotations, where version 2 and KVN have names such as ANGLE_1.
             if re.fullmatch("rotation[123]", key) and self._open[-1].name in _ROTATIONS:
                 key = _ROTATIONS[self._open[-1].name].format(key[-1])
             axis = (given.get("angle") or given.get("rate") or "")[:1].upper()

@@ -1,4 +1,5 @@
-"""Names of centres and reference frames in messages of CCSDS (registries of SANA; 502.0-B-2, annex A), and ours."""
+"""Names of centres and reference frames in messages of CCSDS (registries of SANA; 502.0-B-2, annex A), and the names
+that this package uses for them."""
 
 from __future__ import annotations
 
@@ -22,10 +23,10 @@ FRAMES = {
     "GTOD": "itrf",
     "TIRS": "itrf",
 }
-"""Reference frames that can be read, with our names (`simulator.mission.frames.to_frame`). The Earth-fixed true equator
-of date (TDR, GTOD) and TIRS are ITRF without polar motion, which is neglected."""
+"""Supported reference frames and their names in `simulator.mission.frames.to_frame`. The Earth-fixed frames TDR, GTOD
+and TIRS differ from ITRF by polar motion, which is neglected."""
 OF_EPOCH = {"MOE": "mean_of_date", "TOE": "equator_of_date", "TEMEOFEPOCH": "teme"}
-"""Frames of which the message states the date, REF_FRAME_EPOCH."""
+"""Frames at a fixed date, which the message states as REF_FRAME_EPOCH."""
 _REALISATION = re.compile(r"(ICRF|GCRF|ITRF)[-_ ]?\d{1,4}")
 """Realisations, such as ``ITRF2014``, ``ITRF-97`` and ``ICRF3``."""
 
@@ -46,6 +47,7 @@ _CENTRES = {
 
 def centre_of(item: Item) -> str:
     """One of `simulator.mission.trajectory.CENTRES` by the value of CENTER_NAME; `InputError` for any other."""
+    # Messages write the names with spaces, hyphens or underscores, and in British or American spelling.
     name = " ".join(re.sub("[-_]", " ", item.value.upper()).split()).replace("BARYCENTRE", "BARYCENTER")
     if name not in _CENTRES:
         raise InputError(f"{item.position}: centre {item.value} is not supported; use {', '.join(CENTRES)}")
@@ -53,7 +55,7 @@ def centre_of(item: Item) -> str:
 
 
 def centre_name(centre: str) -> str:
-    """Value of CENTER_NAME for a centre; those of the outer planets are barycentres."""
+    """Value of CENTER_NAME for a centre. The centres of the outer planets are the barycentres of their systems."""
     if centre == "Earth-Moon barycentre":
         return "EARTH-MOON BARYCENTER"
     outer = ("Jupiter", "Saturn", "Uranus", "Neptune")
@@ -61,7 +63,7 @@ def centre_name(centre: str) -> str:
 
 
 def named_frame(name: str) -> str:
-    """Our name of a reference frame; empty if it cannot be read, or is of a date that the message must state."""
+    """Name of a reference frame in `to_frame`; empty for a frame that is not supported or needs a date."""
     found = name.upper().strip()
     if match := _REALISATION.fullmatch(found):
         found = match[1]
@@ -69,12 +71,12 @@ def named_frame(name: str) -> str:
 
 
 def frame_of(item: Item, *, has_epoch: bool) -> str:
-    """Our name of the value of REF_FRAME.
+    """Name in `to_frame` of the value of REF_FRAME.
 
     Raises
     ------
     InputError
-        For a frame that cannot be read, or is of a date and the message `has_epoch` not.
+        For a frame that is not supported, or one that needs a date if the message does not have it (`has_epoch`).
     """
     of_epoch = OF_EPOCH.get(item.value.upper().strip().removesuffix("_EARTH"), "")
     if of_epoch and not has_epoch:

@@ -1,6 +1,7 @@
 """Attitudes of CK kernels, through SpiceyPy (the extra ``spice``): NAIF's CSPICE interpolates them.
 
-Kernels are loaded for each evaluation alone, so that the kernels of the calling program are not affected.
+Kernels are loaded only during an evaluation, because SPICE's pool of kernels is global and may be used by the calling
+program.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ _DELTET = {
 }
 """Constants of TDB − TT, which clock kernels in TT need (*Time Required Reading*, NAIF; kernel naif0012.tls)."""
 _TOLERANCE_S = 1e-3
-"""Distance to an attitude that counts as at it: seconds after J2000 are rounded to 1e-7, and to ticks of the clock."""
+"""Tolerance of SPICE's search for an attitude. Seconds after J2000 are rounded to 1e-7, and times to ticks of the
+clock, so the end of an interval may be missed by that much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,7 @@ class CkAttitude:
         spacecraft = spiceypy.ckmeta(self.number, "SCLK")
         out = np.empty((len(t_s), 9))
         for k, et in enumerate(tdb_seconds(self.clock, np.clip(t_s, *window_s)).tolist()):
+            # CK kernels are indexed by ticks of the spacecraft's clock, and so is the tolerance.
             ticks = spiceypy.sce2c(spacecraft, et)
             tolerance = spiceypy.sce2c(spacecraft, et + _TOLERANCE_S) - ticks
             out[k] = spiceypy.ckgp(self.number, ticks, tolerance, "J2000")[0].ravel()
@@ -96,8 +99,8 @@ def read_ck(path: Path, sclk: Path, clock: Clock, wanted: str | int | None, moun
     Raises
     ------
     InputError
-        If SpiceyPy is not installed, for a file that is no such kernel, for no such object, or for attitudes relative
-        to a frame that SPICE does not know.
+        If SpiceyPy is not installed, the file is not a kernel of that kind, the object is not in it, or its attitudes
+        are relative to a frame that SPICE does not know.
     """
     for file, what in ((path, "a CK kernel"), (sclk, "a kernel of the spacecraft's clock (SCLK)")):
         if not file.exists():
@@ -116,7 +119,8 @@ def read_ck(path: Path, sclk: Path, clock: Clock, wanted: str | int | None, moun
         windows = np.array([spice.wnfetd(found, k) for k in range(spice.wncard(found))])
         windows_s = from_tdb_seconds(clock, windows).tolist()
         law = CkAttitude(clock, kernels, int(number), tuple((first, last) for first, last in windows_s), mounting)
-    law.quaternions(np.array([windows_s[0][0]]))  # frame and clock
+    # One evaluation, so that an unknown frame or a wrong clock kernel is reported now and not during the run.
+    law.quaternions(np.array([windows_s[0][0]]))
     return law
 
 
@@ -129,10 +133,11 @@ def _number(wanted: str | int) -> int | None:
 
 @contextmanager
 def _loaded(kernels: tuple[str, ...]) -> Iterator[Any]:
-    """SpiceyPy with kernels loaded; its errors in one line."""
+    """SpiceyPy with kernels loaded; its errors become `InputError` of one line."""
     spiceypy = need_spiceypy()
     from spiceypy.utils.exceptions import NotFoundError, SpiceyError
 
+    # Constants that the calling program has loaded are left as they are, and only our own are removed at the end.
     mine = [name for name in _DELTET if not spiceypy.expool(name)]
     try:
         for kernel in kernels:

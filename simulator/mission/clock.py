@@ -1,4 +1,4 @@
-"""The scenario's clock: elapsed seconds since the epoch → TT, Julian epoch, UTC."""
+"""The scenario's clock: conversion of seconds since the epoch to TT, Julian epoch and UTC."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from startracker.interop import is_time
 SECONDS_PER_DAY = 86_400.0
 FIRST_YEAR_OF_UTC = 1960
 _LONGEST_S = 1e11
-"""Times farther from the epoch, three thousand years, are refused: no ephemeris reaches them."""
+"""Times farther than this from the epoch, three thousand years, are refused, as no ephemeris covers them."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,12 @@ class Clock:
         if utc.year < FIRST_YEAR_OF_UTC:
             raise InputError(f"the epoch {utc.isoformat()} is before the start of UTC; use a date from 1960 on")
         second = utc.second + utc.microsecond * 1e-6
-        # the ufuncs are called directly: their wrappers warn ("dubious year") of any date after the table of leap
-        # seconds
+        # The ufuncs are called directly because their wrappers warn ("dubious year") of any date after the table of
+        # leap seconds.
         utc1, utc2, _ = erfa.ufunc.dtf2d("UTC", utc.year, utc.month, utc.day, utc.hour, utc.minute, second)
         tai1, tai2, _ = erfa.ufunc.utctai(utc1, utc2)
         tt1, tt2, _ = erfa.ufunc.taitt(tai1, tai2)
+        # The dataclass is frozen; these are its only assignments.
         object.__setattr__(self, "epoch", utc)
         object.__setattr__(self, "_tt", (float(tt1), float(tt2)))
 
@@ -55,6 +56,7 @@ class Clock:
 
         Accurate to 5 ns per year from the epoch (rounding of the second part).
         """
+        # Only the small part changes, so no digits are lost to the large one.
         return self._tt[0], self._tt[1] + t_s / SECONDS_PER_DAY
 
     @overload

@@ -1,7 +1,7 @@
 """Files of mean elements: two-line elements, and orbit mean-elements messages (CCSDS 502.0-B-2 and B-3).
 
-Only elements of SGP4 are read: a field that selects another theory, reference frame or time scale is refused, by its
-name.
+Only elements of SGP4 are read; a field that selects another theory, reference frame or time scale is an error that
+names the field.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from startracker.files import MESSAGE_BYTES, read_text
 
 _REVOLUTIONS_DAY_TO_RAD_MIN = 2.0 * math.pi / 1440.0
 _GM_KM3_S2 = 398_600.8
-"""Gravitational parameter of WGS 72, that of SGP4's elements."""
+"""Gravitational parameter of WGS 72, with which elements of SGP4 are fitted."""
 _OTHER_THEORIES = {
     "1": "SGP",
     "3": "SDP4 or PPT3",
@@ -30,7 +30,8 @@ _OTHER_THEORIES = {
     "5": "SDP8",
     "6": "special perturbations",
 }
-"""Ephemeris types that are not SGP4's, 0 or 2 (Hoots & Roehrich 1980; CCSDS 502.0-B-3, section 4.2.4)."""
+"""Theories of other ephemeris types; SGP4 has the types 0 and 2 (Hoots & Roehrich 1980; CCSDS 502.0-B-3, section
+4.2.4)."""
 
 
 def read_elements(path: Path) -> list[MeanElements]:
@@ -43,8 +44,8 @@ def read_tle(path: Path, clock: Clock, wanted: str | int | None, max_age_days: f
     """Orbit of a file of two-line elements, with or without lines of names.
 
     Of several sets of the same object, the one whose epoch is closest to the scenario's is used. Blanks before a line
-    and text around the sets, as bulletins have it, are read over; a line without its check digit (68 characters) is
-    read with an `InputWarning`.
+    and text around the sets, as in bulletins, are ignored. A line without its check digit (68 characters) is read with
+    an `InputWarning`.
 
     Parameters
     ----------
@@ -68,14 +69,14 @@ def read_tle(path: Path, clock: Clock, wanted: str | int | None, max_age_days: f
 
 
 def read_omm(path: Path, clock: Clock, wanted: str | int | None, max_age_days: float) -> MeanElementsOrbit:
-    """Orbit of a CCSDS OMM in KVN or XML, in which several may follow each other; as `read_tle`."""
+    """Orbit of a file with one or several CCSDS OMM in KVN or XML; parameters and errors as in `read_tle`."""
     return _nearest(path, _messages(path), clock, wanted, max_age_days)
 
 
 def _nearest(
     path: Path, sets: list[MeanElements], clock: Clock, wanted: str | int | None, max_age_days: float
 ) -> MeanElementsOrbit:
-    """The wanted object's set with the epoch closest to the clock's."""
+    """Set of elements of the wanted object whose epoch is closest to that of the clock."""
     chosen = [e for e in sets if wanted is None or is_called(e, wanted)]
     objects = {(e.number, e.name) for e in sets}
     if not chosen or len({e.number for e in chosen}) > 1:
@@ -83,12 +84,13 @@ def _nearest(
         more = f" and {len(objects) - 12} more" if len(objects) > 12 else ""
         raise InputError(f"{path}: choose one of its objects by orbit.object: {known}{more}")
     orbits = [MeanElementsOrbit(elements, clock, max_age_days) for elements in chosen]
+    # The span is symmetric about the epoch of the elements, so its sum is twice their distance from the clock's epoch.
     return min(orbits, key=lambda orbit: abs(sum(orbit.span_s)))
 
 
 def is_called(elements: MeanElements, wanted: str | int) -> bool:
-    """Whether elements are of the object with a name, a catalogue number (also as a letter and four digits) or an
-    international designator."""
+    """Whether `wanted` is the name, the catalogue number (also as a letter and four digits, "alpha-5") or the
+    international designator of the object of these elements."""
     from sgp4.alpha5 import from_alpha5
 
     text = str(wanted).strip()
@@ -107,7 +109,7 @@ class _Line(NamedTuple):
 _WITHOUT_DIGIT = 68
 """Characters of a line of elements before its check digit."""
 _BEGINS = re.compile(r"[12] [0-9A-Z ][0-9 ]{3}[0-9]")
-"""Line of elements by its number and that of its object."""
+"""Beginning of a line of elements: its number, 1 or 2, and the catalogue number of the object."""
 
 
 def _is_element_line(text: str) -> bool:
@@ -115,6 +117,8 @@ def _is_element_line(text: str) -> bool:
 
 
 def _two_lines(path: Path) -> Iterator[MeanElements]:
+    # `name` is the title line of the next set, `first` its line 1, and `short` the position of the first line without
+    # a check digit.
     name, first, found, short = "", None, 0, ""
     text = read_text(path, MESSAGE_BYTES, "give a file of two-line elements")
     line = _Line(f"{path}:1", "")
@@ -127,7 +131,7 @@ def _two_lines(path: Path) -> Iterator[MeanElements]:
             short = short or next((part.position for part in (first, line) if len(part.text) == _WITHOUT_DIGIT), "")
             name, first, found = "", None, found + 1
         elif not _is_element_line(line.text):
-            # the end of a bulletin (/EX) is not the name of the set that follows
+            # The end of a bulletin (/EX) is not the name of the set that follows.
             name = "" if line.text.startswith("/") else line.text.removeprefix("0 ").strip()
         elif line.text.startswith("1 "):
             first = line
@@ -146,6 +150,7 @@ def _of_lines(name: str, first: _Line, second: _Line) -> MeanElements:
     from sgp4.api import SGP4_ERRORS, WGS72, Satrec
 
     line1, line2 = _checked(first, "1 "), _checked(second, "2 ")
+    # Column 63, index 62, is the ephemeris type.
     if (kind := line1[62]) not in "02 ":
         theory = f", {_OTHER_THEORIES[kind]}," if kind in _OTHER_THEORIES else ""
         raise InputError(f"{first.position}: elements of ephemeris type {kind}{theory} in column 63; SGP4 needs type 0")
@@ -154,7 +159,7 @@ def _of_lines(name: str, first: _Line, second: _Line) -> MeanElements:
         found = Satrec.twoline2rv(line1, line2, WGS72)
     except ValueError as error:
         raise InputError(f"{second.position}: {str(error).splitlines()[0]}") from None
-    if found.error not in (0, 6):
+    if found.error not in (0, 6):  # 6, a decayed orbit, is reported by the propagation at the time in question
         raise InputError(f"{second.position}: {SGP4_ERRORS.get(found.error, 'impossible elements')}")
     return MeanElements(
         name,
@@ -190,12 +195,15 @@ def _designator(launch: str) -> str:
     match = re.fullmatch(r"(\d\d)(\d{3})([A-Z]{1,3})", launch)
     if match is None:
         return ""
-    year = int(match[1]) + (1900 if int(match[1]) >= 57 else 2000)
+    year = int(match[1]) + (1900 if int(match[1]) >= 57 else 2000)  # the first satellite was launched in 1957
     return f"{year}-{match[2]}{match[3]}"
 
 
 def _verify_numbers(line1: str, line2: str) -> None:
-    """`ValueError` unless both lines have the same object, and numbers in the columns of numbers."""
+    """Raise `ValueError` unless both lines are of the same object and have numbers where numbers are expected.
+
+    python-sgp4 does not check the columns: instead of a blank field it reads the number that follows.
+    """
     if line1[2:7] != line2[2:7]:
         raise ValueError(f"lines 1 and 2 are of the objects {line1[2:7]} and {line2[2:7]}")
     for text in (line1[18:20], line1[20:32], line2[8:16], line2[17:25], line2[34:42], line2[43:51], line2[52:63]):
@@ -229,6 +237,7 @@ _REFUSED = {
 def _messages(path: Path) -> list[MeanElements]:
     sets: list[dict[str, Item]] = [{}]
     for item in read_items(path, "OMM"):
+        # A message of several objects repeats these keys, the first of which starts the next set.
         if item.key in sets[-1] and item.key in ("OBJECT_NAME", "CCSDS_OMM_VERS"):
             sets.append({})
         if item.key[:1] not in ("+", "-"):
@@ -244,6 +253,8 @@ def _of_message(path: Path, keys: Mapping[str, Item]) -> MeanElements:
         raise InputError(f"{keys['ECCENTRICITY'].position}: eccentricity {eccentricity:g} with mean motion {motion:g}")
     if "GM" in keys and abs(_number(keys["GM"]) / _GM_KM3_S2 - 1.0) > 1e-7:
         warn_of(f"{keys['GM'].position}: GM is not used; SGP4 has that of WGS 72, {_GM_KM3_S2} km³/s²")
+    # A message without a catalogue number is identified by its name. Numbers of two-line elements have no leading
+    # zeros either.
     number = keys.get("NORAD_CAT_ID")
     designator = keys.get("OBJECT_ID")
     return MeanElements(
@@ -263,7 +274,7 @@ def _of_message(path: Path, keys: Mapping[str, Item]) -> MeanElements:
 
 
 def _refuse_other_theories(path: Path, keys: Mapping[str, Item]) -> None:
-    """`InputError` for a message that is incomplete, or whose elements are not those of SGP4."""
+    """Raise `InputError` for a message that is incomplete or has elements of a theory other than SGP4."""
     for key, allowed in _EXPECTED.items():
         if key in keys and keys[key].value.upper() not in allowed:
             raise InputError(f"{keys[key].position}: {key} is {keys[key].value}; SGP4 needs {' or '.join(allowed)}")

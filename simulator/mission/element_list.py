@@ -1,4 +1,4 @@
-"""Many satellites at once: the states of a list of two-line or mean elements by SGP4."""
+"""States of many satellites from a list of two-line or mean elements, by SGP4."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class ElementList:
     Parameters
     ----------
     sets : sequence of MeanElements
-        Sets of elements; of several of one object, that with the epoch closest to the clock's is used.
+        Sets of elements; of several sets of one object, the one whose epoch is closest to the clock's is used.
     clock : Clock
         The scenario's clock.
     max_age_days : float
@@ -42,7 +42,8 @@ class ElementList:
         self.elements = tuple(elements for _, elements in nearest.values())
         self.epoch_s: FloatArray = np.array([at_s for at_s, _ in nearest.values()])
         self._records = [sgp4_record(elements) for elements in self.elements]
-        # sets between whose epochs there is no leap second: one Julian date serves all of them
+        # SGP4's array takes one Julian date UTC for all its members. Sets are grouped such that no leap second is
+        # between their epochs, as the date then corresponds to the same elapsed time for all of a group.
         days = np.array([record.jdsatepoch + record.jdsatepochF for record in self._records])
         _, self._leap_group = np.unique(np.round(days * SECONDS_PER_DAY - self.epoch_s), return_inverse=True)
         self._all: dict[int, Any] = {}
@@ -50,11 +51,12 @@ class ElementList:
     @classmethod
     def read(cls, path: Path, clock: Clock, max_age_days: float) -> ElementList:
         """The list of a file (`simulator.mission.element_files.read_elements`); `InputError` with file and line."""
+        # The cache is keyed by date and size, so that a file that has been replaced is read again.
         try:
             stat = path.stat()
             sets = _read(path, stat.st_mtime_ns, stat.st_size)
         except OSError:
-            sets = tuple(read_elements(path))  # the reader's message
+            sets = tuple(read_elements(path))  # raises the reader's error for this file
         if not sets:
             raise InputError(f"{path}: has no elements; give a file of two-line elements or CCSDS OMM")
         return cls(sets, clock, max_age_days)
@@ -82,7 +84,7 @@ class ElementList:
         return States(to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s))
 
     def _array(self, rows: IntArray, group: int | None) -> Any:
-        """python-sgp4's array of some rows; that of a whole group is kept."""
+        """python-sgp4's array of some rows; the array of a whole group is cached."""
         from sgp4.api import SatrecArray
 
         if group is None or group not in self._all:
@@ -93,7 +95,7 @@ class ElementList:
         return self._all[group]
 
     def _propagated(self, t_s: FloatArray, array: Any, row: int) -> tuple[FloatArray, FloatArray]:
-        """TEME states (N, K, 3) of an array of which a row of the list is a member."""
+        """TEME states (N, K, 3) of an array of satellites; `row` is any member of it in this list."""
         first = self._records[row]
         # SGP4 subtracts the epoch of each set again: these are elapsed SI seconds, independent of leap seconds
         days = first.jdsatepochF + (t_s - self.epoch_s[row]) / SECONDS_PER_DAY

@@ -24,13 +24,14 @@ class EllipticOrbit:
 
         r = x P + y Q,   v = (Ṁ/n) (ẋ P + ẏ Q) + (ω̇ + Ω̇ cos i) W × r
 
-    where x, y, ẋ, ẏ are those of two bodies (`simulator.mission.kepler.perifocal`). As in `J2Orbit`, which this equals
-    for e = 0, the velocity omits the cross-track term Ω̇ sin i, and the short-period terms of J2 are neglected, so that
-    plane and ellipse are the mean ones; J3, J4, drag, Sun and Moon are neglected as well. A position around the Earth
-    is accurate to some 20 km near the epoch; over a day of a Molniya orbit to 6 km, for elements fitted to it."""
+    where x, y, ẋ, ẏ are the two-body position and velocity in the plane (`simulator.mission.kepler.perifocal`). For
+    e = 0 the orbit is that of `J2Orbit`. As there, the velocity omits the cross-track term Ω̇ sin i, and the
+    short-period terms of J2 are neglected, so that plane and ellipse are the mean ones; J3, J4, drag, Sun and Moon are
+    neglected as well. A position around the Earth is accurate to some 20 km near the epoch, and to 6 km over a day of a
+    Molniya orbit if the elements are fitted to it."""
 
     elements: Elements
-    """Mean elements at the epoch; without `j2` osculating ones, which are constant."""
+    """Mean elements at the epoch with `j2`; otherwise osculating elements, which are constant."""
     clock: Clock
     """Epoch."""
     centre: str = "Earth"
@@ -50,7 +51,7 @@ class EllipticOrbit:
 
     @property
     def period_s(self) -> float:
-        """From one ascending node to the next, in the mean."""
+        """Mean nodal period, from one ascending node to the next."""
         _, perigee, anomaly = self._rates
         return 2.0 * math.pi / (perigee + anomaly)
 
@@ -60,12 +61,15 @@ class EllipticOrbit:
         node_rate, perigee_rate, anomaly_rate = self._rates
         gm = GM_KM3_S2[self.centre]
         flat, moving = perifocal(elements, elements.mean_anomaly_rad + anomaly_rate * t, gm)
+        # `perifocal` gives the velocity for the Keplerian mean motion n; the anomaly advances at Ṁ.
         moving *= anomaly_rate / math.sqrt(gm / elements.semi_major_axis_km**3)
         turning = perigee_rate + node_rate * math.cos(elements.inclination_rad)
         p, q, _ = plane_axes(
             elements.inclination_rad, elements.node_rad + node_rate * t, elements.periapsis_rad + perigee_rate * t
         )
         x, y = flat[..., :1], flat[..., 1:]
-        matrix = to_frame(self.frame, self.clock, t if self.j2 else 0.0)  # two bodies keep the plane of the epoch
+        # The node that precesses by J2 refers to the equator of date; the plane of two bodies is inertially fixed, so
+        # it is transformed with the axes of the epoch.
+        matrix = to_frame(self.frame, self.clock, t if self.j2 else 0.0)
         r_km = to_gcrs(matrix, x * p + y * q)
         return r_km, to_gcrs(matrix, (moving[..., :1] - turning * y) * p + (moving[..., 1:] + turning * x) * q)

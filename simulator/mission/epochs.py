@@ -1,4 +1,4 @@
-"""Epochs as text in mission files, in the time scales that they use, as seconds after the scenario's epoch."""
+"""Conversion of epochs in mission files, in any time scale, to seconds after the scenario's epoch."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def elapsed_s(clock: Clock, texts: Sequence[str], scale: str, positions: Sequenc
     Raises
     ------
     InputError
-        For an unknown time scale, or the first epoch that is not one.
+        For an unknown time scale, or for the first text that is not an epoch.
 
     Notes
     -----
@@ -49,6 +49,7 @@ def elapsed_s(clock: Clock, texts: Sequence[str], scale: str, positions: Sequenc
         raise InputError(f"{positions[0]}: time scale '{scale}' cannot be read; convert to {', '.join(SCALES)}")
     fields = np.array([epoch_fields(text, at) for text, at in zip(texts, positions, strict=True)]).reshape(-1, 6)
     whole = [column.astype(np.int32) for column in fields[:, :5].T]
+    # For a scale other than UTC a day always has 86,400 s, for which TAI stands here; UTC accepts a second 60.
     jd1, jd2, status = erfa.ufunc.dtf2d("UTC" if scale == "UTC" else "TAI", *whole, fields[:, 5])
     if (wrong := np.flatnonzero((status < 0) | (status > 1))).size:  # 1: after the table of leap seconds
         raise InputError(f"{positions[wrong[0]]}: '{texts[wrong[0]]}' is not a date and time of {scale}")
@@ -89,7 +90,8 @@ def from_tdb_seconds(clock: Clock, tdb_s: FloatArray) -> FloatArray:
 
 
 def _tdb_minus_tt(jd1: FloatArray | float, jd2: FloatArray) -> FloatArray:
-    """TDB − TT, s; the argument may be in either, as its slope is below 4e-10."""
+    """TDB − TT, s, at the geocentre. The date may be TDB or TT, because the difference changes by less than 4e-10 s per
+    second."""
     return np.asarray(erfa.ufunc.dtdb(jd1, jd2, 0.0, 0.0, 0.0, 0.0))
 
 
@@ -106,13 +108,14 @@ def epoch_fields(text: str, position: str) -> tuple[float, ...]:
     if match := _DAY_OF_YEAR.fullmatch(text):
         year, day, *time = match.groups()
         date = np.datetime64(f"{year}-01-01") + np.timedelta64(int(day) - 1, "D")
-        if str(date)[:4] == year:
+        if str(date)[:4] == year:  # day 366 of a common year is in the next one
             return tuple(float(part) for part in (year, str(date)[5:7], str(date)[8:10], *time))
     raise InputError(f"{position}: '{text}' is not an epoch such as 2026-03-21T12:00:00.000")
 
 
 def _to_tt(jd1: FloatArray, jd2: FloatArray, scale: str) -> tuple[FloatArray, FloatArray]:
-    """Two-part Julian dates TT of those of another scale."""
+    """Convert two-part Julian dates of another time scale to TT."""
+    # The scales form a chain, TCB → TDB → TT and UTC or GPS → TAI → TT; the steps below are in its order.
     if scale == "TT":
         return jd1, jd2
     if scale == "UT1":
@@ -133,8 +136,10 @@ def _to_tt(jd1: FloatArray, jd2: FloatArray, scale: str) -> tuple[FloatArray, Fl
 
 
 def _tt_of_ut1(jd1: FloatArray, jd2: FloatArray) -> FloatArray:
-    """Second part of the Julian date TT of an instant in UT1; the table is evaluated at TT, and so the second step is
-    within 1e-12 s."""
+    """Second part of the Julian date TT of an instant in UT1.
+
+    The table of ΔT is a function of TT, so the equation is iterated; after the second step the error is below 1e-12 s.
+    """
     tt2 = jd2
     for _ in range(2):
         tt2 = jd2 + timescale().tt_jd(jd1, tt2).delta_t / SECONDS_PER_DAY

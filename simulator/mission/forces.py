@@ -14,8 +14,8 @@ from simulator.mission.clock import SECONDS_PER_DAY, Clock
 from simulator.mission.frames import true_of_date
 from simulator.mission.parameters import ForceModel
 from simulator.mission.trajectory import GM_KM3_S2, centre_state
+from startracker._compiled import kernel
 from startracker.core import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 BODIES = {
     "Earth": ("Sun", "Moon"),
@@ -26,7 +26,8 @@ BODIES = {
 
 _BLOCK_S = 4.0 * SECONDS_PER_DAY
 _DEGREE = 15
-"""Bodies and pole are polynomials over blocks of four days: as DE421's own for the Moon, of degree 12."""
+"""Degree of the Chebyshev polynomials of the bodies and the pole over blocks of four days. DE421's own polynomials for
+the Moon have degree 12 over the same interval."""
 
 
 @dataclass
@@ -49,6 +50,8 @@ class Forces:
         """Right-hand side f(t, y) of the equations of motion, y = (position, velocity), km and km/s."""
 
         def slope(t_s: float, y: FloatArray) -> FloatArray:
+            # Ephemerides cost milliseconds per call, and the integrator calls this a dozen times per step: the
+            # polynomials of a block replace them.
             block, part = divmod(t_s / _BLOCK_S, 1.0)
             return np.asarray(_derivative(y, self._block(int(block)), 2.0 * part - 1.0, self._gm, self._zonals))
 
@@ -60,6 +63,7 @@ class Forces:
             points = chebyshev.chebpts1(_DEGREE + 1)
             t_s = (number + (points + 1.0) / 2.0) * _BLOCK_S
             origin = centre_state(self.centre, self.clock, t_s).r_km
+            # The third row of the matrix is the Earth's pole of date in GCRS, the axis of the zonal harmonics.
             columns = [true_of_date(self.clock, t_s)[:, 2]]
             columns += [centre_state(body, self.clock, t_s).r_km - origin for body in self._bodies]
             values = np.stack(columns, axis=1).reshape(len(t_s), -1)
@@ -70,8 +74,10 @@ class Forces:
 
 @kernel
 def _derivative(y: FloatArray, block: FloatArray, at: float, gm: FloatArray, zonals: FloatArray) -> FloatArray:
-    """Velocity and `acceleration` (6,) of a state, with pole and bodies from their polynomials (Clenshaw's sum)."""
+    """Velocity and `acceleration` (6,) of a state; pole and bodies are evaluated from their polynomials by Clenshaw's
+    recurrence."""
     degree, columns = block.shape[0] - 1, block.shape[1]
+    # Clenshaw's recurrence b_k = c_k + 2x b_(k+1) − b_(k+2) for every column, and Σ = c₀ + x b₁ − b₂.
     near = np.empty((columns, 3))
     for n in range(columns):
         for axis in range(3):
@@ -85,7 +91,7 @@ def _derivative(y: FloatArray, block: FloatArray, at: float, gm: FloatArray, zon
     return out
 
 
-@kernel_part
+@kernel
 def acceleration(
     r_km: FloatArray, pole: FloatArray, bodies_km: FloatArray, gm_km3_s2: FloatArray, zonals: FloatArray
 ) -> FloatArray:
@@ -95,7 +101,8 @@ def acceleration(
 
         a = μ/r² Σ Jₙ (R/r)ⁿ {[(n + 1) Pₙ + u Pₙ′] r̂ − Pₙ′ ẑ};
 
-    other bodies: μ_b [(s − r)/|s − r|³ − s/|s|³], direct minus that of the centre (section 8.6).
+    other bodies: μ_b [(s − r)/|s − r|³ − s/|s|³], the acceleration of the spacecraft minus that of the centre (section
+    8.6).
 
     Parameters
     ----------
@@ -113,11 +120,13 @@ def acceleration(
     r = math.sqrt(r_km[0] * r_km[0] + r_km[1] * r_km[1] + r_km[2] * r_km[2])
     pull = gm_km3_s2[0] / (r * r)
     u = (r_km[0] * pole[0] + r_km[1] * pole[1] + r_km[2] * pole[2]) / r
+    # The acceleration is pull · (along r̂ + across ẑ); the −1 is the attraction of the central mass.
     along, across = -1.0, 0.0
     before, now, slope_before, slope = 1.0, u, 0.0, 1.0  # P0, P1 and their derivatives
     power = EARTH_RADIUS_KM / r
     for k in range(len(zonals)):
         n = k + 2
+        # Bonnet's recurrence for Pₙ, and Pₙ′ = Pₙ₋₂′ + (2n − 1) Pₙ₋₁; `before` is Pₙ₋₁ after the first line.
         before, now = now, ((2 * n - 1) * u * now - (n - 1) * before) / n
         slope_before, slope = slope, slope_before + (2 * n - 1) * before
         power *= EARTH_RADIUS_KM / r

@@ -1,4 +1,5 @@
-"""Frames of date relative to GCRS, and the mean Sun: precession-nutation IAU 2006/2000A through ERFA."""
+"""Reference frames relative to GCRS (precession and nutation IAU 2006/2000A through ERFA), and local mean solar
+time."""
 
 from __future__ import annotations
 
@@ -19,11 +20,12 @@ def true_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     Frame bias, precession and nutation, IAU 2006/2000A (ERFA's ``pnm06a``); the neglected free core nutation is below
     0.4 mas, 1.5 cm at 800 km.
     """
+    # Arrays cannot be keys of a cache, but their bytes and shape can.
     jd1, jd2 = clock.tt_jd(np.asarray(t_s, dtype=float))
     return _of_dates(jd1, np.shape(jd2), np.asarray(jd2).tobytes())
 
 
-@functools.lru_cache(maxsize=8)  # 50 µs per instant; orbit, node and frames use the same instants
+@functools.lru_cache(maxsize=8)  # takes 50 µs per instant, and orbit, node and frames need the same instants
 def _of_dates(jd1: float, shape: tuple[int, ...], jd2: bytes) -> FloatArray:
     matrices = np.asarray(erfa.ufunc.pnm06a(jd1, np.frombuffer(jd2).reshape(shape)))
     matrices.flags.writeable = False
@@ -72,6 +74,8 @@ def _mean_of_date(clock: Clock, t_s: float | FloatArray) -> FloatArray:
 
 
 def _earth_fixed(clock: Clock, t_s: float | FloatArray) -> FloatArray:
+    # The nutation matrix gives gst06 the equation of the equinoxes; a rotation by GAST about the pole then leads from
+    # the true equinox to the meridian of Greenwich.
     time = timescale().tt_jd(*clock.tt_jd(t_s))
     of_date = true_of_date(clock, t_s)
     gast = erfa.ufunc.gst06(time.whole, time.ut1_fraction, *clock.tt_jd(t_s), of_date)
@@ -80,8 +84,9 @@ def _earth_fixed(clock: Clock, t_s: float | FloatArray) -> FloatArray:
 
 def to_gcrs(matrix: FloatArray, vectors: FloatArray) -> FloatArray:
     """Vectors (..., 3) rotated to GCRS by the inverse of matrices (..., 3, 3) from GCRS."""
-    turned: FloatArray = (vectors[..., None, :] @ matrix)[..., 0, :]
-    return turned
+    # A row vector times a matrix is the transposed, that is the inverse matrix times the vector.
+    rotated: FloatArray = (vectors[..., None, :] @ matrix)[..., 0, :]
+    return rotated
 
 
 def states_to_gcrs(
@@ -92,8 +97,8 @@ def states_to_gcrs(
     Parameters
     ----------
     frame : str
-        As for `to_frame`, whose axes count as inertial at each instant, or ``itrf``: Earth-fixed, to whose velocities
-        ω × r is added.
+        As for `to_frame`. Axes of date are treated as inertial at each instant; to velocities in the Earth-fixed axes
+        ``itrf`` the velocity of rotation ω × r is added.
     clock, t_s
         The instants.
     r_km, v_km_s : array, shape (N, 3)
@@ -103,6 +108,7 @@ def states_to_gcrs(
         matrix = to_frame(frame, clock, t_s)
         return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s)
     matrix = to_frame("itrf", clock, t_s)
+    # ω × r in the Earth-fixed axes, whose z axis is the axis of rotation as polar motion is neglected.
     turning = np.cross([0.0, 0.0, EARTH_RATE_RAD_S], r_km)
     return to_gcrs(matrix, r_km), to_gcrs(matrix, v_km_s + turning)
 
@@ -130,8 +136,8 @@ def equation_of_equinoxes(clock: Clock, t_s: float | FloatArray, matrix: FloatAr
 def teme(clock: Clock, t_s: float | FloatArray) -> FloatArray:
     """Matrices (..., 3, 3) from GCRS into SGP4's true equator, mean equinox of date."""
     matrix = true_of_date(clock, t_s)
-    turned: FloatArray = erfa.rz(equation_of_equinoxes(clock, t_s, matrix), matrix)
-    return turned
+    rotated: FloatArray = erfa.rz(equation_of_equinoxes(clock, t_s, matrix), matrix)
+    return rotated
 
 
 def raan_of_local_time(clock: Clock, local_time_h: float, t_s: float = 0.0) -> float:
@@ -145,7 +151,7 @@ def raan_of_local_time(clock: Clock, local_time_h: float, t_s: float = 0.0) -> f
     UTC replaces UT1: they differ by less than 0.9 s, an error of 0.04″ in the position of the mean Sun.
     """
     utc1, utc2 = clock.utc_jd(t_s)
-    midnight_fraction = (utc1 - 0.5) % 1.0 + utc2
+    midnight_fraction = (utc1 - 0.5) % 1.0 + utc2  # Julian days begin at noon
     gast = float(erfa.gst06a(utc1, utc2, *clock.tt_jd(t_s)))
     return float(erfa.anp(gast + 2.0 * math.pi * (local_time_h / 24.0 - midnight_fraction)))
 
@@ -171,6 +177,7 @@ def argument_of_latitude_deg(
     r, v = ((of_date @ vector[..., None])[..., 0] for vector in (r_km, v_km_s))
     momentum = np.cross(r, v)
     node = np.stack([-momentum[..., 1], momentum[..., 0], np.zeros(momentum.shape[:-1])], axis=-1)
+    # n = z × h has no direction for an equatorial orbit.
     node[~node.any(axis=-1)] = [1.0, 0.0, 0.0]
     ahead = np.sum(np.cross(momentum, node) * r, axis=-1) / np.linalg.norm(momentum, axis=-1)
     return np.asarray(np.degrees(np.arctan2(ahead, np.sum(node * r, axis=-1))) % 360.0)

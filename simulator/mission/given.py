@@ -1,4 +1,4 @@
-"""A trajectory of which only the newest state is known: that of another simulator, as it runs."""
+"""A trajectory of which only the newest state is known, because another simulator supplies it while it runs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from startracker.core import FloatArray
 from startracker.errors import InputError
 
 _REACH_S = 10.0
-"""Time about the newest state in which it is extrapolated: exposures and their satellites."""
+"""Maximum time from the newest state to which it is extrapolated; an exposure and its light times need less."""
 
 
 class GivenTrajectory:
-    """Trajectory whose state is replaced from outside; between states the acceleration is constant.
+    """Trajectory whose state is set by `update` and extrapolated with constant acceleration.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ class GivenTrajectory:
 
     Notes
     -----
-    Within 10 s of the newest state, r + v τ − μ r τ²/2r³, whose error is that of the jerk, n³ r τ³/6: 1.4 mm after
-    1 s, and 1.4 m after 10 s, at 800 km above the Earth.
+    Within τ = 10 s of the newest state the position is r + v τ − μ r τ²/2r³. Its error is the neglected jerk term
+    n³ r τ³/6: 1.4 mm after 1 s, and 1.4 m after 10 s, at 800 km above the Earth.
     """
 
     def __init__(self, clock: Clock, centre: str = "Earth") -> None:
@@ -78,8 +78,9 @@ class GivenTrajectory:
             More than 10 s from the newest state, or before there is one.
         """
         since = np.asarray(t_s, dtype=float)[..., None] - self._t_s
-        if not (np.abs(since) <= _REACH_S).all():  # NaN too
+        if not (np.abs(since) <= _REACH_S).all():  # this form also refuses NaN, the time before the first state
             raise InputError(f"no position of the spacecraft is known within {_REACH_S:g} s of {np.asarray(t_s)} s")
         pull = -GM_KM3_S2.get(self.centre, 0.0) * self._r_km / math.hypot(*self._r_km.tolist()) ** 3
+        # Constant acceleration: the position changes by the mean of initial and final velocity.
         velocity = self._v_km_s + pull * since
         return self._r_km + 0.5 * (self._v_km_s + velocity) * since, velocity

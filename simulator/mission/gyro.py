@@ -31,10 +31,10 @@ class GyroSamples(NamedTuple):
 def gyro_samples(gyro: Gyro, turns_rad: FloatArray, step_s: ArrayLike, rng: np.random.Generator) -> GyroSamples:
     """Measured mean rates over the steps of a sequence, and the true bias at their ends.
 
-    measured = (1 + k) turn / step + mean bias + white noise of N / √step; k constant, drawn once; bias = constant +
-    first-order Gauss–Markov process of standard deviation B and correlation time T, b' = e^(−h/T) b +
-    B √(1 − e^(−2h/T)) w, with its mean over a step that of both ends. Terms and units of N and B are those of IEEE Std
-    952-1997, annexes B and C.
+    The measured rate is (1 + k) turn / step + mean bias + white noise of standard deviation N / √step, with a constant
+    scale-factor error k. The bias is the sum of a constant and a first-order Gauss–Markov process of standard deviation
+    B and correlation time T, b' = e^(−h/T) b + B √(1 − e^(−2h/T)) w; its mean over a step of length h is the mean of
+    both ends. Terms and units of N and B are as in IEEE Std 952-1997, annexes B and C.
 
     Parameters
     ----------
@@ -48,6 +48,7 @@ def gyro_samples(gyro: Gyro, turns_rad: FloatArray, step_s: ArrayLike, rng: np.r
         Draws 9 + 6 N Gaussian deviates.
 
     """
+    # The order of the draws is fixed: it defines the random numbers of recorded results.
     constant, wander = rng.standard_normal((2, 3))
     constant = constant * gyro.bias_deg_h * DEG_H
     spread = gyro.bias_instability_deg_h * DEG_H
@@ -57,8 +58,9 @@ def gyro_samples(gyro: Gyro, turns_rad: FloatArray, step_s: ArrayLike, rng: np.r
     biases[0] = constant + wander
     noise = rng.standard_normal((len(turns_rad), 2, 3))
     for k, h in enumerate(steps):
-        kept, fresh = math.exp(-h / gyro.bias_time_s), math.sqrt(-math.expm1(-2.0 * h / gyro.bias_time_s))
-        wander = kept * wander + spread * fresh * noise[k, 0]
+        # Exact discretisation of the Gauss–Markov process: its variance is B² at every step of any length.
+        decay, drive = math.exp(-h / gyro.bias_time_s), math.sqrt(-math.expm1(-2.0 * h / gyro.bias_time_s))
+        wander = decay * wander + spread * drive * noise[k, 0]
         biases[k + 1] = constant + wander
     length = np.array(steps)[:, None]
     white = gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H / np.sqrt(length) * noise[:, 1]

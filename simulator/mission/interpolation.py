@@ -15,16 +15,17 @@ from startracker.core import FloatArray
 class StateTable:
     """States at ascending times, interpolated by polynomials through the nearest of them.
 
-    An even number of nodes is taken half before and half after the instant, an odd number around the nearest node; at
-    the ends the first or last ones (as SPICE does for its types 8, 9, 12 and 13, *SPK Required Reading*)."""
+    The nodes are selected as in SPICE's types 8, 9, 12 and 13 (*SPK Required Reading*): an even number is half before
+    and half after the instant, an odd number is centred on the nearest node; near an end of the table the first or last
+    nodes are used."""
 
     t_s: FloatArray
     """(N,): Ascending."""
     states: FloatArray
-    """(N, C): Quantities; for ``hermite`` half of the columns, and then their derivatives."""
+    """(N, C): Quantities; for ``hermite`` C/2 quantities followed by their derivatives."""
     method: Literal["lagrange", "hermite"]
-    """``lagrange``: each of the columns by itself. ``hermite``: the position through positions and velocities, the
-    velocity as its derivative."""
+    """``lagrange``: a polynomial through the values of each column. ``hermite``: a polynomial through positions and
+    velocities, and its derivative as the velocity."""
     nodes: int
     """Nodes of a polynomial: degree + 1 for ``lagrange``, (degree + 1) / 2 for ``hermite``; at most N."""
 
@@ -32,6 +33,7 @@ class StateTable:
         """States (T, C) at times (T,) within the table."""
         first = self._first(t_s)
         rows = first[:, None] + np.arange(self.nodes)
+        # With the instant as the origin of time, the polynomials are evaluated at 0.
         x, y = self.t_s[rows] - t_s[:, None], self.states[rows]
         if self.method == "lagrange":
             return _newton(x, _differences(x, y))[0]
@@ -44,13 +46,14 @@ class StateTable:
         if self.nodes % 2 == 0:
             first = np.searchsorted(self.t_s, t_s, side="right") - self.nodes // 2
         else:
+            # The nearest node changes at the middle of two nodes.
             nearest = np.searchsorted((self.t_s[1:] + self.t_s[:-1]) / 2.0, t_s, side="right")
             first = nearest - self.nodes // 2
         return np.asarray(np.clip(first, 0, len(self.t_s) - self.nodes))
 
 
 def _differences(x: FloatArray, y: FloatArray) -> list[FloatArray]:
-    """Newton's divided differences: coefficients (T, C), one a node, of nodes (T, n) with values (T, n, C)."""
+    """Newton's divided differences: n coefficients (T, C) for nodes (T, n) with values (T, n, C)."""
     table, coefficients = y, [y[:, 0]]
     for order in range(1, x.shape[1]):
         apart = (x[:, order:] - x[:, :-order])[..., None]
@@ -66,7 +69,8 @@ def _doubled_differences(x: FloatArray, y: FloatArray) -> list[FloatArray]:
     doubled = np.repeat(x, 2, axis=1)
     table = np.repeat(position, 2, axis=1)
     first = np.empty_like(table[:, 1:])
-    first[:, 0::2] = slope  # two equal nodes: the derivative
+    # The divided difference of two equal nodes is the derivative; between different nodes it is the usual quotient.
+    first[:, 0::2] = slope
     first[:, 1::2] = (position[:, 1:] - position[:, :-1]) / (x[:, 1:] - x[:, :-1])[..., None]
     coefficients, table = [position[:, 0], first[:, 0]], first
     for order in range(2, doubled.shape[1]):
@@ -77,10 +81,10 @@ def _doubled_differences(x: FloatArray, y: FloatArray) -> list[FloatArray]:
 
 
 def _newton(x: FloatArray, coefficients: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Value and derivative (T, C) at 0 of Newton's polynomial with nodes (T, n)."""
+    """Value and derivative (T, C) at 0 of Newton's polynomial with nodes (T, n), by Horner's scheme."""
     value, slope = coefficients[-1], np.zeros_like(coefficients[-1])
     for order in range(len(coefficients) - 2, -1, -1):
         away = -x[:, order, None]
-        slope = slope * away + value
+        slope = slope * away + value  # uses the value before its update: (p x + c)′ = p′ x + p
         value = value * away + coefficients[order]
     return value, slope

@@ -14,7 +14,7 @@ COLUMNS = ("x_arcsec", "y_arcsec", "z_arcsec")
 
 
 def read_jitter(parameters: Jitter, clock: Clock, folder: Path = Path()) -> JitterSeries | None:
-    """Series of a section; None without one.
+    """Time series of ``pointing.jitter``; None if the section has no file.
 
     Raises
     ------

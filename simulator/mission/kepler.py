@@ -1,4 +1,4 @@
-"""Keplerian motion: elements and states, and the secular rates of an ellipse by J2."""
+"""Keplerian motion: conversion of elements and states, and the secular rates of an ellipse by J2."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from startracker.core import FloatArray
 from startracker.errors import InputError
 
 _ITERATIONS = 50
+"""Maximum number of iterations; a few are enough except near e = 1."""
 _CONVERGED_RAD = 4e-15
+"""Step at which the iteration ends: a few units of the last digit of an angle of π."""
 
 
 class Elements(NamedTuple):
@@ -43,10 +45,12 @@ def eccentric_anomaly(mean_anomaly_rad: ArrayLike, eccentricity: float) -> Float
         raise InputError(f"an ellipse has an eccentricity from 0 to below 1, not {eccentricity:g}")
     whole = np.asarray(mean_anomaly_rad, dtype=float)
     mean = np.remainder(whole + math.pi, 2.0 * math.pi) - math.pi
+    # The iteration is in [−π, π), where rounding is least; whole revolutions are added again at the end.
     found = mean + 0.85 * eccentricity * np.sign(mean)
     for _ in range(_ITERATIONS):
         sine, cosine = eccentricity * np.sin(found), eccentricity * np.cos(found)
         off, slope = found - sine - mean, 1.0 - cosine
+        # Newton's, Halley's, and Danby's step, each of which uses the one before.
         step = -off / slope
         step = -off / (slope + 0.5 * step * sine)
         step = -off / (slope + 0.5 * step * sine + step * step * cosine / 6.0)
@@ -100,13 +104,15 @@ def elements_of(r_km: ArrayLike, v_km_s: ArrayLike, gm_km3_s2: float) -> Element
     inverse = 2.0 / distance - float(v @ v) / gm_km3_s2
     if not inverse > 0.0:
         raise InputError("the state is not on an ellipse: its speed is that of escape or higher")
+    # 1e-14 below is rounding: the node of such an equatorial orbit, or the periapsis of such a circular one, would be
+    # a random direction.
     momentum = np.cross(r, v)
     h = float(np.linalg.norm(momentum))
     inclination = math.atan2(math.hypot(momentum[0], momentum[1]), momentum[2])
     tilted = math.hypot(momentum[0], momentum[1]) > 1e-14 * h
     node = math.atan2(momentum[0], -momentum[1]) if tilted else 0.0
     to_node, ahead, _ = plane_axes(inclination, node, 0.0)
-    vector = np.cross(v, momentum) / gm_km3_s2 - r / distance
+    vector = np.cross(v, momentum) / gm_km3_s2 - r / distance  # eccentricity vector, towards the periapsis
     e = float(np.linalg.norm(vector))
     periapsis = math.atan2(float(vector @ ahead), float(vector @ to_node)) if e > 1e-14 else 0.0
     a = 1.0 / inverse

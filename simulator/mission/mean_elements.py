@@ -1,4 +1,4 @@
-"""Mean elements, as two-line elements and orbit mean-elements messages have them, propagated by SGP4."""
+"""Mean elements of two-line elements and orbit mean-elements messages, propagated by SGP4."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ SGP4_EPOCH_JD = 2_433_281.5
 
 
 class MeanElements(NamedTuple):
-    """One set of elements as SGP4 takes them, in TEME: radians, radians per minute, days."""
+    """One set of elements in the units of SGP4 (radians, radians per minute, days), axes of TEME."""
 
     name: str
+    """Name of the object; may be empty."""
     number: str
-    """Name and catalogue number."""
+    """Catalogue number."""
     position: str
-    """File and line."""
+    """File and line, for messages."""
     epoch_jd: tuple[float, float]
     """Two-part Julian date UTC."""
     bstar: float
@@ -46,11 +47,11 @@ class MeanElements(NamedTuple):
 
 @dataclass(frozen=True)
 class MeanElementsOrbit:
-    """Mean elements through SGP4 (SDP4 above 225 minutes; Vallado et al. 2006; python-sgp4, constants of WGS 72), from
-    TEME into GCRS.
+    """Orbit of mean elements, propagated by SGP4 (SDP4 for periods above 225 minutes; Vallado et al. 2006; python-sgp4
+    with the constants of WGS 72) and rotated from TEME to GCRS.
 
-    Accurate to about 1 km at the epoch, and to 1 to 3 km more for each day from it in a low orbit (Vallado et al.
-    2006); therefore limited to `max_age_days`."""
+    In a low orbit the error is about 1 km at the epoch and grows by 1 to 3 km per day (Vallado et al. 2006). Times are
+    therefore limited to `max_age_days` from the epoch of the elements."""
 
     elements: MeanElements
     """The set of elements."""
@@ -94,7 +95,7 @@ class MeanElementsOrbit:
         what = f"{self.elements.position}: the set of elements with orbit.max_age_days = {self.max_age_days:g}"
         refuse_outside(self.clock, t, self.span_s, what)
         satellite = _satellite(self.elements)
-        # SGP4 subtracts its own epoch again: these are elapsed SI seconds, independent of leap seconds
+        # SGP4 subtracts the epoch of the elements again, so only elapsed SI seconds matter, and leap seconds do not.
         days = satellite.jdsatepochF + (t.ravel() - self._epoch_s) / SECONDS_PER_DAY
         error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
         if error.any():
@@ -107,8 +108,9 @@ class MeanElementsOrbit:
 
 def epoch_s(elements: MeanElements, clock: Clock) -> float:
     """Epoch of a set of elements, SI seconds after that of a clock."""
-    # elements count days of 86,400 s; ERFA's quasi Julian date would stretch a day with a leap second, which is itself
-    # the end of its day
+    # Elements count days of 86,400 s, whereas ERFA's quasi Julian date stretches a day that has a leap second, so
+    # TAI − UTC is added explicitly. A leap second itself has a day fraction of 1 or more, and belongs to the day it
+    # ends.
     day, part = elements.epoch_jd
     year, month, date, _, _ = erfa.ufunc.jd2cal(day, 0.0)
     leap_s, _ = erfa.ufunc.dat(year, month, date, min(part, 1.0))
@@ -119,7 +121,7 @@ def epoch_s(elements: MeanElements, clock: Clock) -> float:
 
 @functools.lru_cache(maxsize=64)
 def _satellite(elements: MeanElements) -> Any:
-    """SGP4's record, cached here because it cannot be pickled."""
+    """SGP4's record. It is cached here and not in the orbit because it cannot be pickled."""
     return sgp4_record(elements)
 
 
@@ -131,8 +133,8 @@ def sgp4_record(elements: MeanElements) -> Any:
     day, part = elements.epoch_jd
     satellite.sgp4init(
         WGS72,
-        "i",  # the improved mode of operation
-        0,  # the number has no effect
+        "i",  # SGP4's improved mode of operation
+        0,  # catalogue number, which has no effect on the propagation
         (day - SGP4_EPOCH_JD) + part,
         elements.bstar,
         0.0,  # first and second derivative of the mean motion, which SGP4 does not use

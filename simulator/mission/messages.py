@@ -1,8 +1,8 @@
 """Navigation messages of CCSDS written in KVN: trajectories as OEM (502.0-B-3), attitudes as AEM, and with their
 variances as ACM (504.0-B-2).
 
-Quaternions are written as they stand in boresight, (x, y, z, w) of the coordinate transformation from frame A to frame
-B, which is the definition of (Q1, Q2, Q3, QC).
+Quaternions are written unchanged: (x, y, z, w) of the coordinate transformation from frame A to frame B is the
+standard's definition of (Q1, Q2, Q3, QC).
 """
 
 from __future__ import annotations
@@ -87,7 +87,8 @@ def aem_text(clock: Clock, t_s: FloatArray, quaternions: FloatArray, header: Hea
 
 def acm_text(clock: Clock, t_s: FloatArray, quaternions: FloatArray, variances_deg2: FloatArray, header: Header) -> str:
     """Attitude comprehensive message: quaternions (N, 4) as in `aem_text`, and the variances (N, 3) of the attitude
-    error about the camera's axes, deg². An ACM holds the diagonal of a covariance alone."""
+    error about the camera's axes, deg². An ACM has no correlations, only the diagonal of the covariance."""
+    # Times of an ACM are seconds after EPOCH_TZERO; those of OEM and AEM are calendar dates.
     start_s = float(t_s[0])
     since = [f"{t - start_s:.9f}" for t in t_s.tolist()]
     lines = [

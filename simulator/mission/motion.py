@@ -73,14 +73,16 @@ class RateProfile:
         Magnus' series for dS/dt = −[ω×] S with two Gauss points per step h (Iserles & Nørsett 1999; Blanes et al. 2009,
         Physics Reports 470, 151, eq. 253): the rotation vector is h (ω₁ + ω₂)/2 + √3 h² (ω₁ × ω₂)/12.
         """
+        # The rate is smooth only between its corners, so no step may cross one. `from_rotation_vector` is a rotation
+        # of the axes, which has the sign of −[ω×].
         inner = self.t_s[(self.t_s > start_s) & (self.t_s < end_s)]
         turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
         corners = [start_s, *inner, end_s]
         for low, high in pairwise(corners):
             ends = self.at(low), self.at(high)
-            steps = 1  # exact for a constant rate
+            steps = 1  # one step is exact for a constant rate
             if (ends[0] != ends[1]).any():
-                fastest = max(float(np.linalg.norm(rate)) for rate in ends)  # linear between: largest at an end
+                fastest = max(float(np.linalg.norm(rate)) for rate in ends)  # the rate is linear between the ends
                 steps = math.ceil((high - low) * max(fastest / _LARGEST_TURN_RAD, 1.0 / _LONGEST_STEP_S))
             h = (high - low) / steps
             for k in range(steps):
@@ -93,6 +95,7 @@ class RateProfile:
 
 def rate_profile(pointing: PointingParameters, sequence: SequenceMotion) -> RateProfile:
     """Rate of the body relative to its reference over a sequence: sum of constant rate, profile and slew."""
+    # The sum of piecewise linear functions is linear between the union of their corners.
     points = np.array([p.at_s for p in sequence.rates])
     corners, speeds = _trapezoid(sequence.slew)
     times = np.unique(np.concatenate([[0.0], points, corners]))
@@ -114,7 +117,7 @@ def _trapezoid(slew: Slew) -> tuple[FloatArray, FloatArray]:
 
 
 class BodyMotion:
-    """The body over time, from one instant to the next.
+    """Attitude and rate of the body, integrated from one instant to the next.
 
     Parameters
     ----------
@@ -149,13 +152,15 @@ class BodyMotion:
             )
         else:
             self._reference, self._rate_of = _level(orbit)
+        # C of the module's docstring, the rotation from the reference to the body at the start, and S, which starts as
+        # the identity.
         self._start, self._start_s = start, sequence.start_s
         self._at_start = start.body @ self._reference(sequence.start_s).inverse
         self._turned = Attitude(np.array([0.0, 0.0, 0.0, 1.0]), "body", "body")
         self._before_s = 0.0
 
     def at(self, now_s: float) -> MotionState:
-        """State without jitter at a time after the first frame, not before the last one asked for."""
+        """State without jitter at a time, s after the first frame, which must not be before that of the last call."""
         if now_s > self._before_s:
             self._turned = self.profile.turn(self._before_s, now_s) @ self._turned
         self._before_s, t_s = now_s, self._start_s + now_s
@@ -165,7 +170,7 @@ class BodyMotion:
         return MotionState(t_s, camera, self._start.mounting.apply(rate_body))
 
     def add_rate(self, rate_rad_s: FloatArray) -> None:
-        """Add a rate (3,), body axes, from the last time asked for."""
+        """Add a rate (3,), rad/s in body axes, from the time of the last call of `at`."""
         self.profile = RateProfile(self.profile.t_s, self.profile.rate_rad_s + rate_rad_s)
 
 
@@ -177,7 +182,7 @@ def motion(
     since_s: Sequence[float],
     law: AttitudeLaw | None = None,
 ) -> list[MotionState]:
-    """True states at times of a sequence: those of a `BodyMotion`.
+    """True states of a `BodyMotion` at the times of a sequence.
 
     Parameters
     ----------
@@ -191,8 +196,8 @@ def motion(
 
 
 def on_mounting(state: MotionState, rotation_rad: FloatArray | None) -> MotionState:
-    """The same motion of the body seen by a camera whose mounting is rotated by a vector (3,) in camera axes, of which
-    the rate is neglected."""
+    """Motion of a camera whose mounting is rotated by a vector (3,) in camera axes; the rate of this rotation is
+    neglected."""
     if rotation_rad is None:
         return state
     turn = Attitude.from_rotation_vector(rotation_rad, "camera", "camera")
@@ -216,7 +221,7 @@ def _level(orbit: Trajectory) -> tuple[Callable[[float], Attitude], Callable[[fl
         return local_level(*orbit.state(t_s))
 
     def rate(t_s: float) -> FloatArray:
-        first, last = orbit.span_s
+        first, last = orbit.span_s  # near an end of the trajectory the difference is one-sided
         low, high = max(t_s - _LEVEL_STEP_S, first), min(t_s + _LEVEL_STEP_S, last)
         return level(low).rotation_vector_to(level(high)) / (high - low)
 

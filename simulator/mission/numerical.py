@@ -1,4 +1,4 @@
-"""Numerical propagation of a state: SciPy's DOP853 in steps that do not depend on what is asked for."""
+"""Numerical propagation of a state by SciPy's DOP853, in steps that do not depend on the times requested."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ from startracker.errors import InputError
 _RELATIVE, _ABSOLUTE = 1e-12, 1e-9
 """Tolerances of a step; the absolute one in km and km/s: 1 mm and 1 mm/s at small values."""
 _NODES = 6
-"""Steps of a polynomial of degree 11 through positions and velocities, two orders above that of the integrator."""
+"""Integration steps that an interpolating polynomial passes through. With positions and velocities its degree is 11,
+above the order of the integrator."""
 _FIRST_STEP = 0.1
-"""First step, in units of r/v: about that of the following ones, because polynomials need steps of like size."""
+"""First step, in units of r/v. It is about as long as the following ones, because interpolation needs similar steps."""
 _LONGEST_STEP_DAYS = 8.0
+"""Maximum step: two blocks of the bodies' polynomials (`simulator.mission.forces`)."""
 _SPAN_DAYS = 36_525.0
+"""Limit given to the integrator, which only serves as a direction; a century is beyond any ephemeris."""
 
 
 class _March:
-    """Integration in one direction from the epoch, as far as was asked for."""
+    """Integration in one direction from the epoch, continued as far as requested."""
 
     def __init__(self, forces: Forces, start: FloatArray, direction: float) -> None:
         from scipy.integrate import DOP853
@@ -47,12 +50,14 @@ class _March:
         self._table: StateTable | None = None
 
     def reach(self, t_s: float) -> StateTable:
-        """States of the steps until `_NODES` beyond a time: polynomials there do not depend on later steps."""
+        """Table of the steps until `_NODES` steps beyond a time, so that its interpolation does not depend on how far
+        the integration is continued later."""
+        # The interpolating polynomial uses the nodes around a time; it is final if `_NODES` steps lie beyond the time.
         while abs(self._times[-min(_NODES, len(self._times))]) <= abs(t_s):
             self._step()
             self._table = None
         if self._table is None:
-            order = slice(None, None, -1 if self._backwards else 1)
+            order = slice(None, None, -1 if self._backwards else 1)  # a table has ascending times
             self._table = StateTable(np.array(self._times)[order], np.array(self._states)[order], "hermite", _NODES)
         return self._table
 
@@ -70,12 +75,13 @@ class _March:
 
 @dataclass(eq=False)
 class NumericalOrbit:
-    """State at the epoch, integrated with the attraction of centre, zonal harmonics, and other bodies.
+    """Orbit from a state at the epoch, integrated with the attraction of the centre, its zonal harmonics, and other
+    bodies.
 
     Dormand and Prince's method of order 8 (Hairer, Nørsett & Wanner 1993, section II.10; SciPy's ``DOP853``) with a
-    relative tolerance of 1e-12 a step: 0.2 mm in 30 revolutions of a low orbit, 12 mm in 150. The steps do not depend
-    on the times asked for, so that states are the same to the bit for every process. Not modelled: drag, radiation
-    pressure, tesseral harmonics, harmonics of the Moon, relativity."""
+    relative tolerance of 1e-12 per step; the error is 0.2 mm after 30 revolutions of a low orbit and 12 mm after 150.
+    The steps do not depend on the times requested, so every process computes bit-identical states. Not modelled: drag,
+    radiation pressure, tesseral harmonics, harmonics of the Moon, relativity."""
 
     clock: Clock
     """Epoch."""
@@ -104,6 +110,7 @@ class NumericalOrbit:
         """
         t = np.asarray(t_s, dtype=float)
         refuse_outside(self.clock, t, self.span_s, "the ephemeris of the numerical propagator")
+        # Two integrations start at the epoch, forwards and backwards; each is only started if a time needs it.
         flat, out = t.ravel(), np.empty((t.size, 6))
         for direction in (1.0, -1.0):
             rows = np.flatnonzero(flat * direction >= 0.0 if direction > 0.0 else flat < 0.0)
@@ -118,4 +125,5 @@ class NumericalOrbit:
         return self._marches[direction].reach(float(np.abs(t_s).max())).state(t_s)
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_marches": {}}  # a solver cannot be pickled; it is repeated to the bit
+        # A solver cannot be pickled; another process repeats the integration with bit-identical results.
+        return self.__dict__ | {"_marches": {}}

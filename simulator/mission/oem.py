@@ -25,16 +25,16 @@ from startracker.errors import InputError
 
 _REQUIRED = ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME")
 _LAYOUT = Layout(("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT"), (6, 9))
-"""Position and velocity, and perhaps the acceleration."""
+"""Position and velocity, optionally followed by the acceleration, which is not used."""
 _DEFAULT_NODES = 4
-"""Nodes of Hermite's polynomial, of degree 7, where a message names no interpolation."""
+"""Nodes of Hermite's polynomial of degree 7, the default for a message that names no interpolation."""
 
 
 def read_oem(path: Path, clock: Clock, wanted: str | None) -> TabulatedTrajectory:
     """Trajectory of an orbit ephemeris message.
 
-    Segments are interpolated by themselves, by the method and degree that they name (LAGRANGE or HERMITE; without one,
-    Hermite's polynomial of degree 7), in their own reference frame, and only within their usable span.
+    Each segment is interpolated on its own, by the method and degree that it names (LAGRANGE or HERMITE; by default
+    Hermite's polynomial of degree 7), in its own reference frame, and only within its usable span.
 
     Parameters
     ----------
@@ -82,6 +82,7 @@ def _interpolation(written: WrittenSegment, states: int) -> tuple[Literal["lagra
 
 def _frame_epoch_s(written: WrittenSegment, clock: Clock, frame: str) -> float | None:
     """Seconds after the epoch at which the axes of date of the frame are taken; None for the time of each state."""
+    # Inertial frames do not depend on a date, so a REF_FRAME_EPOCH has no effect on them.
     if "REF_FRAME_EPOCH" not in written.keys or frame in ("icrf", "eme2000"):
         return None
     item = written.keys["REF_FRAME_EPOCH"]

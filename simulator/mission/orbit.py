@@ -116,6 +116,7 @@ class J2Orbit:
         to_node = np.stack([np.cos(node), np.sin(node), np.zeros(t.shape)], axis=-1)
         ahead = np.stack([-np.sin(node) * cos_i, np.cos(node) * cos_i, np.full(t.shape, sin_i)], axis=-1)
         radius = self.elements.semi_major_axis_km
+        # In the plane the velocity has the rate of the argument of latitude plus that of the node, projected onto it.
         speed = radius * (self._latitude_rate + self.nodal_rate_rad_s * cos_i)
         matrix = true_of_date(self.clock, t)
         r_km = to_gcrs(matrix, radius * (np.cos(u) * to_node + np.sin(u) * ahead))
@@ -124,7 +125,8 @@ class J2Orbit:
 
 @dataclass(frozen=True)
 class Sgp4Orbit:
-    """The same mean elements through SGP4 (Vallado et al. 2006; python-sgp4), without drag, from TEME into GCRS.
+    """Circular orbit from the same mean elements by SGP4 (Vallado et al. 2006; python-sgp4) without drag, rotated from
+    TEME to GCRS.
 
     SGP4 adds to `J2Orbit` the short-period terms of J2 (about 1 km, and 4 km of radius), the eccentricity forced by J3
     (1e-3: 7 km in radius, 15 km along the orbit), and the secular rates of J2² and J4 (1 to 2 km per day along the
@@ -168,7 +170,7 @@ class Sgp4Orbit:
         """
         t = np.asarray(t_s, dtype=float)
         satellite = _satellite(self.elements, self.clock)
-        # SGP4 subtracts its own epoch again: these are elapsed SI seconds, independent of leap seconds
+        # SGP4 subtracts the epoch of the elements again, so only elapsed SI seconds matter, and leap seconds do not.
         days = satellite.jdsatepochF + t.ravel() / SECONDS_PER_DAY
         error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
         if error.any():
@@ -204,6 +206,8 @@ def build_orbit(section: OrbitParameters, epoch: datetime) -> Orbit:
         For both node keys at once, an altitude outside the range of the model or without a sun-synchronous inclination,
         or an unknown propagator.
     """
+    # These are the limits of the model. Limits of plausibility, such as the surface, are rules of the scenario, which
+    # `allow_unphysical` can lift.
     radius = EARTH_RADIUS_KM + section.altitude_km
     if not SMALLEST_RADIUS_EARTHS * EARTH_RADIUS_KM <= radius <= SPHERE_OF_INFLUENCE_KM:
         raise InputError(
@@ -241,7 +245,9 @@ def _kozai_mean_motion(elements: CircularElements) -> float:
     d1 = 0.75 * EARTH_J2 * (3.0 * math.cos(elements.inclination_rad) ** 2 - 1.0)
     a1 = elements.semi_major_axis_km / EARTH_RADIUS_KM
     kozai = brouwer
-    for _ in range(20):  # each iteration gains three digits
+    # SGP4 recovers Brouwer's mean motion from Kozai's by a series in δ; here the same series is inverted by fixed-point
+    # iteration, each step of which gains three digits.
+    for _ in range(20):
         ak = a1 * (brouwer / kozai) ** (2.0 / 3.0)
         delta = d1 / ak**2
         adel = ak * (1.0 - delta * (1.0 / 3.0 + delta * (1.0 + 134.0 / 81.0 * delta)))
@@ -254,12 +260,13 @@ def _satellite(elements: CircularElements, clock: Clock) -> Any:
     """SGP4's record of an orbit, cached here because it cannot be pickled."""
     from sgp4.api import WGS84, Satrec
 
+    # TEME measures the node from the mean equinox, the elements from the true one.
     node = elements.raan_rad - float(equation_of_equinoxes(clock, 0.0, true_of_date(clock, 0.0)))
     satellite = Satrec()
     epoch_days = (clock.epoch - datetime(1949, 12, 31, tzinfo=UTC)).total_seconds() / SECONDS_PER_DAY
     satellite.sgp4init(
         WGS84,
-        "i",  # the improved mode of operation
+        "i",  # SGP4's improved mode of operation
         0,  # satellite number
         epoch_days,
         0.0,  # B*: no drag

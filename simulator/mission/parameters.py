@@ -17,7 +17,7 @@ class KeplerianElements:
     """Keplerian elements at the epoch; given by `semi_major_axis_km`."""
 
     semi_major_axis_km: float | None = None
-    """Semi-major axis; none: no orbit by elements."""
+    """Semi-major axis; null: the orbit is not defined by elements."""
     eccentricity: float = 0.0
     """Eccentricity of the ellipse."""
     inclination_deg: float = 0.0
@@ -35,7 +35,7 @@ class StateVector:
     """Position and velocity at the epoch; given by both."""
 
     position_km: Vector | None = None
-    """Position relative to the centre; none: no orbit by a state vector."""
+    """Position relative to the centre; null: the orbit is not defined by a state vector."""
     velocity_km_s: Vector | None = None
     """Velocity relative to the centre."""
 
@@ -45,7 +45,7 @@ class ForceModel:
     """Forces of the numerical propagator."""
 
     zonal_degree: int = 6
-    """Highest zonal harmonic of the Earth, J2 to J6; below 2: none."""
+    """Highest zonal harmonic of the Earth, J2 to J6; below 2 the Earth is a point mass."""
     third_bodies: bool = True
     """Attraction by Sun and Moon, and, far from the Earth, by the Earth and the planets."""
 
@@ -96,8 +96,8 @@ class OrbitParameters:
     forces: ForceModel = ForceModel()
     """Forces of the numerical propagator."""
     max_age_days: float = 30.0
-    """Longest time between the epoch of two-line or mean elements and an instant; the error of SGP4 grows by some km a
-    day."""
+    """Longest time between the epoch of two-line or mean elements and an instant; the error of SGP4 grows by some km
+    per day."""
 
     __repr__ = changed_fields
 
@@ -108,13 +108,13 @@ class OrbitParameters:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """All keys that define an orbit; more than one contradict each other."""
+        """All keys that define an orbit; a valid section has at most one."""
         given = {"elements": self.elements.semi_major_axis_km, "state": self.state.position_km}
         return tuple(k for k in SOURCES if given.get(k, getattr(self, k)) is not None)
 
     @property
     def described(self) -> str:
-        """A few words: ``800 km orbit``, ``orbit of cbers2.tle``."""
+        """Short description for display: ``800 km orbit``, ``orbit of cbers2.tle``."""
         source = self.source
         if source == "circular":
             return f"{self.altitude_km:g} km orbit"
@@ -164,17 +164,17 @@ class AttitudeSource:
     object: str | int | None = None
     """Name or number of the object in a file with several; in a CK kernel its NAIF number."""
     gives: Literal["auto", "body", "camera"] = "auto"
-    """Whose attitudes they are. ``auto``: in an AEM by the name of the frame (``SC_BODY``, ``STARTRACKER``), otherwise
-    the body's. `mounting` leads from the one to the other."""
+    """Whether the attitudes are those of the body or of the camera; `mounting` relates one to the other. ``auto``: in
+    an AEM by the name of the frame (``SC_BODY``, ``STARTRACKER``), otherwise of the body."""
     frame: Literal["icrf", "eme2000", "equator_of_date", "teme", "itrf", "ecliptic", "local_level"] = "icrf"
-    """Axes from which the quaternions of a table start; ``local_level`` as for `offset_deg`."""
+    """Axes from which the quaternions of a table transform; ``local_level`` as for `offset_deg`."""
     interpolation: Literal["slerp", "spline"] = "slerp"
-    """Of a table. ``slerp``: constant rate between rows; ``spline``: cubic spline of rotations, continuous rates and
-    accelerations."""
+    """Interpolation of a table. ``slerp``: constant rate between rows; ``spline``: cubic spline of rotations with
+    continuous rates and accelerations."""
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Keys of files; more than one contradict each other."""
+        """Keys of files that are given; a valid section has at most one."""
         return tuple(key for key in ATTITUDE_FILES if getattr(self, key) is not None)
 
 
@@ -201,7 +201,7 @@ class Waypoints:
     """Slews from attitude to attitude."""
 
     points: tuple[Waypoint, ...] = ()
-    """Attitudes in order of time: a list of {at_s, ra_deg, dec_deg, roll_deg}; none: no slews."""
+    """Attitudes in order of time: a list of {at_s, ra_deg, dec_deg, roll_deg}; empty: no slews."""
     profile: Literal["eigenaxis", "spline"] = "eigenaxis"
     """``eigenaxis``: rest, and a slew about one axis that ends at `at_s`, with constant acceleration, constant rate and
     constant deceleration; ``spline``: a cubic spline of rotations through all attitudes, from the first to the last."""
@@ -225,15 +225,15 @@ class GroundTarget:
 
 @dataclass(frozen=True)
 class Track:
-    """A body axis follows a target, and a second one is kept as near as possible to a second direction."""
+    """A body axis points at a target, and a second axis as closely as possible along a second direction."""
 
     target: (
         Literal["nadir", "velocity", "ground", "spacecraft", "direction", "Sun", "Moon", "Earth"]
         | Literal["Mercury", "Venus", "Mars", "Jupiter", "Saturn", "Uranus", "Neptune"]
         | None
     ) = None
-    """What is followed: the centre of the trajectory (``nadir``), the ``velocity``, `ground`, `spacecraft`,
-    `direction_deg` or a body; none: the local level. Targets are followed behind the Earth as well."""
+    """The target: the centre of the trajectory (``nadir``), the ``velocity``, `ground`, `spacecraft`, `direction_deg`
+    or a body; null: the body holds the local level. Targets are followed behind the Earth as well."""
     direction_deg: tuple[float, float] = (0.0, 0.0)
     """Right ascension and declination (ICRS) for ``direction``."""
     ground: GroundTarget = GroundTarget()
@@ -241,21 +241,21 @@ class Track:
     spacecraft: OrbitParameters = OrbitParameters()
     """Orbit of another spacecraft for ``spacecraft``, with the keys of `orbit`."""
     axis: Vector | None = None
-    """Body axis that points at the target; none: the camera's boresight."""
+    """Body axis that points at the target; null: the camera's boresight."""
     second_axis: Vector | None = None
-    """Body axis towards the second direction; none: the camera's up axis (−y)."""
+    """Body axis towards the second direction; null: the camera's up axis (−y)."""
     second_direction: Literal["velocity", "zenith", "orbit_normal", "north", "Sun"] = "velocity"
     """Second direction: velocity, zenith, orbit normal (r × v), celestial north pole (ICRS) or Sun."""
 
 
 @dataclass(frozen=True)
 class ThermoElastic:
-    """Thermo-elastic motion of the mounting around the orbit: the camera rotates relative to the body, of which the
-    spacecraft does not know."""
+    """Thermo-elastic motion of the mounting around the orbit: a rotation of the camera relative to the body that is not
+    known on board."""
 
     amplitude_arcsec: Vector = (0.0, 0.0, 0.0)
-    """Amplitude of the rotation about the camera's x, y, z; 0: none. With `heads`, that of each head about its own
-    axes."""
+    """Amplitude of the rotation about the camera's x, y, z; 0: none. With `heads`, each head has this rotation about
+    its own axes."""
     phase_deg: Vector = (0.0, 0.0, 0.0)
     """Orbit angle at which the rotation about each axis is greatest."""
     reference: Literal["noon", "node"] = "noon"
@@ -303,7 +303,7 @@ class PointingParameters:
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """Keys that define the attitude instead of the local level; more than one contradict each other."""
+        """Keys that define the attitude instead of the local level; a valid section has at most one."""
         given = {
             "target": self.target is not None,
             "spin": self.spin.rate_deg_s != 0.0,
@@ -350,12 +350,16 @@ class Slew:
 
 @dataclass(frozen=True)
 class SequenceMotion:
-    """Start after the epoch, step between frames, rate profile and slew of a sequence."""
+    """Times and motion of a sequence."""
 
     start_s: float
+    """Mid-exposure of the first frame, after the epoch."""
     step_s: float
+    """Time between frames."""
     rates: tuple[RatePoint, ...]
+    """Points of the rate profile."""
     slew: Slew
+    """A slew in addition to the rate profile."""
 
 
 @dataclass(frozen=True)

@@ -49,8 +49,9 @@ class Pointing:
     """Attitude at mid-exposure."""
 
     body: Attitude
+    """True attitude ICRS → body."""
     camera: Attitude
-    """True attitudes, ICRS → body and ICRS → camera."""
+    """True attitude ICRS → camera."""
     prior: Attitude
     """ICRS → camera without the random error, as known from other sensors."""
     mounting: Attitude
@@ -93,11 +94,13 @@ def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:
 def _local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> tuple[Attitude, float]:
     """`local_level`, and its rate |r × v| / r², rad/s."""
     r, v = np.asarray(r_km, dtype=float), np.asarray(v_km_s, dtype=float)
-    (x, y, z), (vx, vy, vz) = r.tolist(), v.tolist()  # Python floats take a tenth of the time of NumPy's calls
+    # This runs for every frame and every step of a motion; Python floats take a tenth of the time of NumPy's calls.
+    (x, y, z), (vx, vy, vz) = r.tolist(), v.tolist()
     momentum = (y * vz - z * vy, z * vx - x * vz, x * vy - y * vx)
     distance, turn = math.hypot(x, y, z), math.hypot(*momentum)
     if not turn > 1e-9 * distance * math.hypot(vx, vy, vz):
         raise InputError(f"no local level: position {r} km and velocity {v} km/s are parallel")
+    # (a, b, c) is Y, the negative orbit normal, (d, e, f) is Z, towards the centre, and the first row is Y × Z.
     (a, b, c), (d, e, f) = (h / -turn for h in momentum), (x / -distance, y / -distance, z / -distance)
     matrix = np.array([[b * f - c * e, c * d - a * f, a * e - b * d], [a, b, c], [d, e, f]])
     return Attitude.from_matrix(matrix, "icrs", "local_level"), turn / distance**2
@@ -117,7 +120,7 @@ def point(parameters: PointingParameters, r_km: FloatArray, v_km_s: FloatArray, 
     r_km, v_km_s : array, shape (3,)
         State of the spacecraft.
     rng : Generator
-        Always draws three uniform numbers, for any parameters.
+        Draws three uniform numbers, whatever the parameters.
 
     Raises
     ------
@@ -136,7 +139,7 @@ def point_at_random(
     Offset, error and rates act as in orbit: the reference, a random frame, rotates at (0, −`orbital_rate_rad_s`, 0).
     The generator draws three numbers for the error, then three for the attitude.
     """
-    draws = rng.uniform(-1.0, 1.0, 3)
+    draws = rng.uniform(-1.0, 1.0, 3)  # before the attitude, so that the error is that of other samplings
     nominal = mounting_of(parameters).inverse @ random_attitude(rng)
     return _pointing(parameters, nominal, _level_rate(orbital_rate_rad_s), draws)
 
@@ -171,8 +174,8 @@ def hold(parameters: PointingParameters, camera: Attitude, rng: np.random.Genera
 
 
 def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike | None = None) -> Pointing:
-    """The same spacecraft with another true camera attitude; the error of the prior and, unless one is given, the rate
-    in camera axes are kept."""
+    """The same spacecraft with another true camera attitude. The error of the prior is unchanged, and so is the rate in
+    camera axes unless one is given."""
     error = pointing.camera @ pointing.prior.inverse
     rate = pointing.rate_camera_rad_s if rate_camera_rad_s is None else np.array(rate_camera_rad_s, dtype=float)
     return replace(
@@ -185,8 +188,11 @@ def turned_to(pointing: Pointing, camera: Attitude, rate_camera_rad_s: ArrayLike
 
 
 def deformed(pointing: Pointing, rotation_rad: FloatArray | None) -> Pointing:
-    """The same body with its mounting, and the camera on it, rotated by a rotation vector (3,) in camera axes. The
-    prior does not know of it; the rate of the rotation is neglected (0.05″/s for 50″ in a low orbit)."""
+    """The same body with its mounting and camera rotated by a rotation vector (3,) in camera axes.
+
+    The prior is not rotated, because the spacecraft does not know of the deformation. The rate of the rotation is
+    neglected (0.05″/s for 50″ in a low orbit).
+    """
     if rotation_rad is None:
         return pointing
     turn = Attitude.from_rotation_vector(rotation_rad, "camera", "camera")
@@ -223,17 +229,20 @@ class BoresightPath:
     """Path of the nominal boresight; arrays of the shape of the times, degrees, right ascension in [0, 360)."""
 
     ra_deg: FloatArray
+    """Right ascension, ICRS."""
     dec_deg: FloatArray
-    """ICRS."""
+    """Declination, ICRS."""
     ra_date_deg: FloatArray
+    """Right ascension, true equator and equinox of date, to which the orbit's node and inclination refer."""
     dec_date_deg: FloatArray
-    """True equator and equinox of date, to which the orbit's node and inclination refer."""
+    """Declination, true equator of date."""
 
 
 def boresight_path(orbit: Trajectory, parameters: PointingParameters, t_s: ArrayLike) -> BoresightPath:
     """Geometric path over the sky without the random error, at seconds since the epoch, an array of any shape."""
     t = np.asarray(t_s, dtype=float)
     in_level = (mounting_of(parameters) @ _offset(parameters)).boresight
+    # The transposed matrix leads from the local level to GCRS.
     direction = np.einsum("...ji,j->...i", level_matrices(*orbit.state(t)), in_level)
     of_date = np.einsum("...ij,...j->...i", true_of_date(orbit.clock, t), direction)
     ra, dec = np.degrees(direction_to_radec(direction))
@@ -265,11 +274,14 @@ def _level_rate(orbital_rate_rad_s: float) -> FloatArray:
 
 
 def _pointing(parameters: PointingParameters, nominal: Attitude, level_rate: FloatArray, draws: FloatArray) -> Pointing:
-    """Pointing around a nominal body attitude (ICRS → body), of a reference that rotates at `level_rate` (3,) in its
-    own axes, with three numbers uniform in [−1, 1) for the error."""
+    """Pointing with a random error about a nominal body attitude (ICRS → body).
+
+    `level_rate` (3,) is the rate of the reference in its own axes; `draws` are three numbers uniform in [−1, 1).
+    """
     mounting = mounting_of(parameters)
     error = Attitude.from_rotation_vector(math.radians(parameters.error_deg) * draws, mounting.source, mounting.source)
     body = error @ nominal
+    # The rate of the reference is transformed to body axes, in which the body's own rate is given.
     rate_rad_s = error.apply(_offset(parameters).apply(level_rate)) + np.radians(parameters.rate_deg_s)
     return Pointing(
         body=body,

@@ -18,6 +18,7 @@ TROPICAL_YEAR_S = 365.2422 * 86_400.0
 """Tropical year, in which a sun-synchronous node completes one revolution; Explanatory Supplement 2013."""
 
 _GOLDEN = 0.618_033_988_749_894_9
+"""(√5 − 1)/2: multiples of it modulo 1 are the most evenly spaced sequence of points."""
 
 
 def trial_time_s(
@@ -38,6 +39,7 @@ def trial_time_s(
     """
     if sampling == "sky":
         return np.zeros(np.shape(index))
+    # A span begins at the epoch, or later if the trajectory does.
     start_s = max(span_s[0], 0.0) if sampling == "span" else 0.0
     length_s = {"mission_year": TROPICAL_YEAR_S, "orbit": period_s, "span": span_s[1] - start_s}[sampling]
     if not 0.0 < length_s < math.inf:

@@ -21,8 +21,9 @@ class CircularElements:
     """Brouwer's mean semi-major axis."""
     inclination_rad: float
     raan_rad: float
+    """Right ascension of the ascending node."""
     argument_of_latitude_rad: float
-    """Inclination, right ascension of the ascending node, angle from the node in the direction of motion."""
+    """Angle from the ascending node in the direction of motion."""
 
 
 def mean_motion(semi_major_axis_km: float) -> float:
@@ -63,6 +64,7 @@ def sun_synchronous_inclination(semi_major_axis_km: float) -> float:
     InputError
         Above about 5,970 km, where even an equatorial retrograde orbit precesses too slowly.
     """
+    # `nodal_rate` at i = 0 is the factor of cos i, and is negative; the inclination is therefore above 90°.
     cosine = MEAN_SUN_RATE_RAD_S / nodal_rate(semi_major_axis_km, 0.0)
     if cosine < -1.0:
         slowest = (-cosine) ** (-2.0 / 7.0) * semi_major_axis_km - EARTH_RADIUS_KM  # the rate varies as a^(−7/2)

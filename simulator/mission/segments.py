@@ -1,4 +1,5 @@
-"""Segments of ephemeris messages (OEM, AEM) as they are written: metadata, epochs and numbers, with their lines."""
+"""Segments of ephemeris messages (OEM, AEM) before their interpretation: metadata, epochs and numbers with their
+lines."""
 
 from __future__ import annotations
 
@@ -18,26 +19,28 @@ from startracker.core import FloatArray
 from startracker.errors import InputError, InputWarning
 
 _HALF_MS = 5e-4
-"""Tolerance of the comparison of epochs with those of the metadata."""
+"""Tolerance, s, of the comparison of epochs with those of the metadata."""
 
 
 class Layout(NamedTuple):
-    """What a data line of a segment holds after its epoch."""
+    """Numbers on a data line of a segment, after its epoch."""
 
     columns: tuple[str, ...]
     """Names of the numbers in XML, in the order of a line."""
     counts: tuple[int, ...]
-    """Permitted numbers of a line; those beyond `columns` are not used."""
+    """Permitted counts of numbers on a line; numbers beyond `columns` are not used."""
 
 
 @dataclass
 class WrittenSegment:
-    """A segment as it is written."""
+    """A segment of a message before its interpretation."""
 
     position: str
     """File and line of its metadata."""
     keys: dict[str, Item] = field(default_factory=dict)
+    """Entries of the metadata by keyword."""
     epochs: list[Item] = field(default_factory=list)
+    """Epochs of the data, as text."""
     rows: list[list[float]] = field(default_factory=list)
     """Numbers of each epoch, in the order of the layout's columns."""
 
@@ -74,6 +77,7 @@ def read_segments(path: Path, kind: str, layout_of: Callable[[WrittenSegment], L
     inside = ""
     state: list[Item] = []
     for item in items:
+        # A state of XML may contain blocks of its own; only its end leaves it. A covariance is skipped.
         mark, name = item.key[:1], item.key[1:]
         if mark in ("+", "-") and (inside != "STATE" or name == "STATE"):
             if item.key == "+META":
@@ -126,7 +130,7 @@ def _add_state(segment: WrittenSegment, layout: Layout, state: list[Item], end: 
 
 
 def _check_axis(segment: WrittenSegment, item: Item) -> None:
-    """Compare the axis that an angle or a rate names with the sequence of rotations."""
+    """Check that the axis named by an angle or a rate agrees with the sequence of rotations."""
     if not item.axis or "EULER_ROT_SEQ" not in segment.keys:
         return
     sequence = segment.keys["EULER_ROT_SEQ"].value.upper().translate(str.maketrans("123", "XYZ"))
@@ -149,12 +153,13 @@ def numbers(texts: Iterable[str], position: str) -> list[float]:
 
 
 def of_object(path: Path, segments: list[WrittenSegment], wanted: str | None, key: str) -> list[WrittenSegment]:
-    """Segments of an object by OBJECT_NAME or OBJECT_ID; of the only one if none is wanted.
+    """Segments of an object by OBJECT_NAME or OBJECT_ID; if `wanted` is None, of the only object.
 
     Raises
     ------
     InputError
-        For several objects without a choice, or no such object; names the scenario's key that chooses.
+        For several objects without a choice, or an unknown object. The message names `key`, by which the scenario
+        chooses.
     """
     objects = {(s.value("OBJECT_NAME"), s.value("OBJECT_ID")) for s in segments}
     chosen = [s for s in segments if wanted is None or wanted in (s.value("OBJECT_NAME"), s.value("OBJECT_ID"))]
@@ -185,6 +190,7 @@ def segment_times(
     t_s = elapsed_s(clock, [item.value for item in segment.epochs], scale, positions)
     if (back := np.flatnonzero(np.diff(t_s) <= 0.0)).size:
         raise InputError(f"{positions[back[0] + 1]}: the epoch is not after the one before; sort the states by time")
+    # The total span of the metadata must be covered by the states; the usable span, if it is stated, is part of it.
     span = {"START_TIME": -math.inf, "STOP_TIME": math.inf}
     for key in (*span, *(f"USEABLE_{key}" for key in span)):
         if key in segment.keys:
@@ -203,9 +209,9 @@ def segment_times(
 
 
 def polynomial_nodes(segment: WrittenSegment, method_key: str, *, hermite: bool) -> int:
-    """Nodes of the polynomial whose degree INTERPOLATION_DEGREE states; of Hermite's half as many.
+    """Number of nodes of a polynomial of degree INTERPOLATION_DEGREE: degree + 1, or half of it for Hermite's.
 
-    A degree that needs more states than the segment has is lowered to what they give, with an `InputWarning`.
+    A degree that needs more states than the segment has is reduced to the highest possible, with an `InputWarning`.
 
     Raises
     ------
@@ -213,6 +219,7 @@ def polynomial_nodes(segment: WrittenSegment, method_key: str, *, hermite: bool)
         With file and line, for a degree that is impossible.
     """
     item, states = segment.item("INTERPOLATION_DEGREE"), len(segment.epochs)
+    # A Hermite polynomial through n positions and velocities has 2n conditions, and so the odd degree 2n − 1.
     degree = numbers([item.value], item.position)[0]
     nodes = int(degree + 1) // 2 if hermite else int(degree + 1)
     wrong = degree != int(degree) or nodes < 1 or (hermite and degree % 2 == 0)
@@ -226,5 +233,5 @@ def polynomial_nodes(segment: WrittenSegment, method_key: str, *, hermite: bool)
 
 
 def warn_of(text: str) -> None:
-    """An `InputWarning` about a message."""
+    """Issue an `InputWarning` about a message."""
     warnings.warn(text, InputWarning, stacklevel=3)

@@ -1,4 +1,4 @@
-"""Slews between attitudes: about one axis within limits of rate and acceleration, and along a spline of rotations."""
+"""Slews between attitudes: about one axis with limited rate and acceleration, or along a spline of rotations."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from startracker.geometry.attitude import Attitude
 
 
 def trapezoid(turn_rad: float, max_rate_deg_s: float, acceleration_deg_s2: float) -> tuple[FloatArray, FloatArray]:
-    """Corners of the speed of a slew from rest to rest in the shortest time within its limits, s and rad/s.
+    """Corners of the speed profile of the fastest slew from rest to rest within its limits, s and rad/s.
 
-    A trapezoid, or a triangle for a short slew, whose area is the angle: bang-bang control about one axis. Empty for an
-    angle of 0.
+    The profile of bang-bang control about one axis is a trapezoid, or a triangle for a short slew, whose area is the
+    angle. The arrays are empty for an angle of 0.
     """
     if turn_rad == 0.0:
         return np.empty(0), np.empty(0)
     acceleration = math.radians(acceleration_deg_s2)
+    # A triangle of base 2 ω/a and height ω has the area ω²/a; if that is the whole angle, the maximum is not reached.
     top = min(math.radians(max_rate_deg_s), math.sqrt(turn_rad * acceleration))
     ramp, steady = top / acceleration, turn_rad / top - top / acceleration
     if steady <= 1e-9 * ramp:
@@ -39,16 +40,19 @@ class _Leg:
     """A slew about one axis of the camera."""
 
     start_s: float
+    """Beginning of the slew, seconds after the epoch."""
     first: FloatArray
-    """(4,): Attitude before it."""
+    """(4,): Quaternion ICRS → camera before the slew."""
     axis: FloatArray
     """(3,): Unit vector, camera axes."""
     corners_s: FloatArray
+    """(C,): Corners of the speed profile after the beginning, from `trapezoid`."""
     speeds_rad_s: FloatArray
-    """(C,): `trapezoid`."""
+    """(C,): Speeds at the corners."""
 
     def angle_rad(self, t_s: FloatArray) -> FloatArray:
-        """Angle (T,) turned at times (T,): 0 before the slew, and the whole angle after it."""
+        """Rotation angle (T,) at times (T,): 0 before the slew, and the whole angle after it."""
+        # The integral of the speed, summed over its linear parts; each contributes the time spent in it so far.
         since = t_s - self.start_s
         angle = np.zeros_like(since)
         for k in range(len(self.corners_s) - 1):
@@ -64,10 +68,11 @@ class SlewLaw:
     """Rest at the first attitude, and slews that end at the times of the others."""
 
     legs: tuple[_Leg, ...]
+    """The slews in order of time."""
     first: FloatArray
     """(4,): First attitude of the camera."""
     mounting: FloatArray
-    """(4,): Body → camera."""
+    """(4,): Quaternion body → camera."""
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -77,6 +82,7 @@ class SlewLaw:
     def quaternions(self, t_s: FloatArray) -> FloatArray:
         """Unit quaternions (T, 4) ICRS → body at times (T,)."""
         camera = np.tile(self.first, (len(t_s), 1))
+        # Legs are in order of time, so the last leg that has begun overwrites the attitudes of those before.
         for leg in self.legs:
             begun = t_s > leg.start_s
             if begun.any():
@@ -138,7 +144,8 @@ def build_slews(parameters: Waypoints, clock: Clock, mounting: FloatArray) -> Sl
 
 
 def _leg(limits: Waypoints, first: FloatArray, last: FloatArray, free_s: float, end_s: float) -> _Leg | None:
-    """Slew that ends at a time, and does not start before another; None if the attitudes are the same."""
+    """Slew that ends at `end_s` and starts at `free_s` or later; None if the attitudes are the same."""
+    # In this order the rotation vector is in the axes of the first attitude, to which `SlewLaw` applies it.
     turn = (Rotation.from_quat(first).inv() * Rotation.from_quat(last)).as_rotvec()
     angle = float(np.linalg.norm(turn))
     corners, speeds = trapezoid(angle, limits.max_rate_deg_s, limits.acceleration_deg_s2)

@@ -21,7 +21,7 @@ from startracker.core import FloatArray
 from startracker.errors import InputError
 
 SPACECRAFT_ID, CAMERA_ID = -999, -999_001
-"""NAIF numbers of spacecraft and camera, from those that are not assigned."""
+"""NAIF numbers of spacecraft and camera, from the range that NAIF does not assign."""
 CAMERA_FRAME = "BORESIGHT_CAMERA"
 _TICKS = 65_536
 _HERMITE_DEGREE = 7
@@ -85,6 +85,7 @@ def spice_kernels(trajectory: Trajectory, t_s: FloatArray, attitudes: dict[str, 
     spice, clock = need_spiceypy(), trajectory.clock
     et_s = tdb_seconds(clock, t_s)
     first_s = math.floor(float(et_s[0])) - 1
+    # The clock starts a second before the first state, so that no time is negative.
     files = {"camera.tsc": _clock_kernel(clock, first_s).encode(), "camera.tf": _FRAME_KERNEL.encode()}
     with tempfile.TemporaryDirectory() as folder:
         if len(t_s) > 1:
@@ -99,7 +100,7 @@ def spice_kernels(trajectory: Trajectory, t_s: FloatArray, attitudes: dict[str, 
 
 
 def _write_spk(spice: Any, path: Path, trajectory: Trajectory, t_s: FloatArray, et_s: FloatArray) -> None:
-    """States as Hermite polynomials of degree up to 7."""
+    """Write the states of a trajectory as an SPK of type 13, Hermite polynomials of degree up to 7."""
     numbers = {name: number for number, name in NAIF.items()}
     degree = min(_HERMITE_DEGREE, 2 * len(t_s) - 1)
     states = np.concatenate(trajectory.state(t_s), axis=1)
@@ -110,12 +111,14 @@ def _write_spk(spice: Any, path: Path, trajectory: Trajectory, t_s: FloatArray, 
 
 
 def _write_ck(spice: Any, path: Path, given: Attitudes, ticks: FloatArray) -> None:
-    """Attitudes that SPICE interpolates linearly, except across gaps."""
+    """Write attitudes as a CK of type 3, which SPICE interpolates at constant rate within intervals without gaps."""
     steps = np.diff(ticks)
     gaps = np.flatnonzero(steps > _GAP_STEPS * np.median(steps)) + 1 if len(steps) else np.empty(0, np.int64)
     starts = ticks[np.concatenate([[0], gaps])]
     scalar_first = np.roll(given.quaternions, 1, axis=1)
-    scalar_first[:, 1:] *= -1.0  # SPICE's quaternion of the same matrix is that of the inverse rotation of vectors
+    # For the same matrix, the vector part of SPICE's quaternion has the opposite sign: it describes the rotation of
+    # vectors and ours that of the axes.
+    scalar_first[:, 1:] *= -1.0
     handle = spice.ckopn(str(path), "boresight", 0)
     what = (ticks[0], ticks[-1], CAMERA_ID, "J2000", False, "attitude of the camera")
     spice.ckw03(handle, *what, len(ticks), ticks, scalar_first, np.zeros((len(ticks), 3)), len(starts), starts)
@@ -123,7 +126,7 @@ def _write_ck(spice: Any, path: Path, given: Attitudes, ticks: FloatArray) -> No
 
 
 def _clock_kernel(clock: Clock, first_s: int) -> str:
-    """Clock of the spacecraft, which starts at this second of TDB after J2000."""
+    """Text of the kernel of the spacecraft's clock, which starts `first_s` seconds of TDB after J2000."""
     number = -SPACECRAFT_ID
     return f"""KPL/SCLK
 \\begindata

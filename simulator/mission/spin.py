@@ -28,16 +28,19 @@ def cone_rate_rad_s(spin: Spin) -> float:
 def spin_attitude(spin: Spin, t_s: float) -> Attitude:
     """Attitude ICRS → principal axes, seconds after the epoch; these axes replace the local level.
 
-    At zero angles they are east, north and the angular momentum; the body is tilted from there onto its cone by the
-    smallest rotation, and rotated about +Z.
+    If all angles are zero, X, Y and Z point to the east, to the north and along the angular momentum. From there the
+    body is tilted onto its cone by the smallest rotation, and rotated about +Z.
     """
     ra, dec = (math.radians(angle) for angle in spin.axis_deg)
     east = np.array([-math.sin(ra), math.cos(ra), 0.0])
     axis = radec_to_direction(ra, dec)
     still = Attitude.from_matrix(np.stack([east, np.cross(axis, east), axis]), "icrs", "local_level")
-    on_cone = math.radians(spin.cone_phase_deg) - cone_rate_rad_s(spin) * t_s  # north through east: left-handed
+    # The position angle on the cone grows from north through east, which is left-handed about the axis, and so the
+    # right-handed precession decreases it.
+    on_cone = math.radians(spin.cone_phase_deg) - cone_rate_rad_s(spin) * t_s
     node = np.array([-math.cos(on_cone), math.sin(on_cone), 0.0])
     tilt = Attitude.from_rotation_vector(math.radians(spin.cone_deg) * node, "local_level", "local_level")
+    # The tilt moves with the precession but does not turn about +Z, so Ω is part of the rotation about +Z as well.
     angle = math.radians(spin.phase_deg) + (_own_rate_rad_s(spin) + cone_rate_rad_s(spin)) * t_s
     turn = Attitude.from_rotation_vector([0.0, 0.0, math.remainder(angle, math.tau)], "local_level", "local_level")
     return turn @ tilt @ still

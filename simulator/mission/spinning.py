@@ -1,4 +1,4 @@
-"""Attitudes of a spinning spacecraft as messages state them: phase and rate of the spin, and the cone of its axis.
+"""Attitudes of a spinning spacecraft in CCSDS messages: phase and rate of the spin, and nutation of its axis.
 
 At each epoch the spin axis, +z of the body, has right ascension α and declination δ, and the body is at phase ψ about
 it: successive rotations of the axes by 90° + α about z, 90° − δ about x and ψ about z (CCSDS 504.0-B-2, annex F). With
@@ -21,11 +21,11 @@ _LARGEST_DIFFERENCE_DEG = 170.0
 
 @dataclass(frozen=True, eq=False)
 class SpinningStates:
-    """Attitudes between states of a spinning body.
+    """Attitudes of a spinning body between given states.
 
-    The motion by the rates of the state before, forwards, and of the state after, backwards, are averaged by a rotation
-    at a constant rate, with weights that go from one to the other. For constant rates that is the motion itself, at
-    any number of revolutions between two states."""
+    The attitude is predicted forwards from the state before, and backwards from the state after, each with its own
+    rates. The result is between the two, on the shortest rotation from one to the other, in proportion to the time. It
+    is exact if the rates are constant, for any number of revolutions between two states."""
 
     t_s: FloatArray
     """(N,): Ascending times."""
@@ -36,14 +36,15 @@ class SpinningStates:
     momentum: FloatArray
     """(N, 3): Axis of the cone, in the axes from which the quaternions start."""
     cone_rad_s: FloatArray
-    """(N,): Rate of the spin axis about it."""
+    """(N,): Rate of the spin axis about the axis of the cone."""
     reverse: bool = False
-    """Whether the quaternions that are asked for lead the other way."""
+    """Whether the inverse quaternions are returned."""
 
     def __call__(self, t_s: FloatArray) -> FloatArray:
         """Unit quaternions (T, 4) at times (T,)."""
         if not len(t_s):
             return np.empty((0, 4))
+        # A single state is its own successor; its share of time is then arbitrary.
         last = max(len(self.t_s) - 2, 0)
         before = np.clip(np.searchsorted(self.t_s, t_s, side="right") - 1, 0, last)
         after = np.minimum(before + 1, len(self.t_s) - 1)
@@ -55,10 +56,11 @@ class SpinningStates:
         return np.asarray((found.inv() if self.reverse else found).as_quat())
 
     def _moved(self, rows: np.ndarray, t_s: FloatArray) -> Rotation:
-        """Attitudes (T,) at times (T,) by the motion from states `rows` (T,)."""
+        """Attitudes (T,) at times (T,) predicted from the states `rows` (T,)."""
         since = (t_s - self.t_s[rows])[:, None]
         about_z = np.zeros((len(rows), 3))
         about_z[:, 2] = self.spin_rad_s[rows]
+        # The nutation is about an inertially fixed axis, so it is applied on the left, and the spin on the right.
         cone = Rotation.from_rotvec(since * self.cone_rad_s[rows, None] * self.momentum[rows])
         return cone * Rotation.from_quat(self.quaternions[rows]) * Rotation.from_rotvec(since * about_z)
 
@@ -75,7 +77,7 @@ class SpinningStates:
 
 
 def spinning(t_s: FloatArray, columns: dict[str, FloatArray], *, reverse: bool) -> SpinningStates:
-    """Attitudes of states.
+    """Attitudes from the columns of a message.
 
     Parameters
     ----------
@@ -90,6 +92,8 @@ def spinning(t_s: FloatArray, columns: dict[str, FloatArray], *, reverse: bool) 
     angles = np.stack([90.0 + columns["SPIN_ALPHA"], 90.0 - columns["SPIN_DELTA"], columns["SPIN_ANGLE"]], axis=1)
     attitude = Rotation.from_euler("ZXZ", angles, degrees=True)
     momentum, cone_rad_s = attitude.apply([0.0, 0.0, 1.0]), np.zeros(len(t_s))
+    # Without nutation the axis of the cone is the spin axis itself, and does not move. With nutation a message gives
+    # either the cone in body axes by its angle, phase and period, or the direction of the angular momentum and a rate.
     if "NUTATION" in columns:
         cone, phase = np.radians(columns["NUTATION"]), np.radians(columns["NUTATION_PHASE"])
         in_body = [np.sin(cone) * np.cos(phase), -np.sin(cone) * np.sin(phase), np.cos(cone)]

@@ -36,7 +36,8 @@ NAIF = {
     7: "Uranus",
     8: "Neptune",
 }
-"""Centres by NAIF number; of two numbers of one centre, that of the body itself comes last."""
+"""Centres by NAIF number. If a centre has two numbers, that of the body itself comes last, so that the inverse of this
+table gives it."""
 _FRAMES = {1: "icrf", 17: "ecliptic"}
 """Frames by NAIF number: J2000, which SPICE identifies with the ICRF, and ECLIPJ2000."""
 _POSITIONS, _STATES = 2, 3
@@ -50,10 +51,11 @@ class ChebyshevTable:
     """Chebyshev polynomials over intervals of equal length."""
 
     first_s: float
+    """Start of the first interval."""
     length_s: float
-    """Start, and length of an interval."""
+    """Length of every interval."""
     coefficients: FloatArray
-    """(degree + 1, N, 3) of positions; (degree + 1, N, 6) of states."""
+    """(degree + 1, N, 3) for positions (type 2), or (degree + 1, N, 6) for states (type 3), of N intervals."""
 
     def state(self, t_s: FloatArray) -> FloatArray:
         """States (T, 6) at times (T,) within the table."""
@@ -64,13 +66,14 @@ class ChebyshevTable:
         found = chebyshev.chebval(at[:, None], chosen, tensor=False)
         if found.shape[1] == 6:
             return np.asarray(found)
+        # The polynomials are functions of a variable from −1 to 1 over an interval.
         slope = chebyshev.chebval(at[:, None], chebyshev.chebder(chosen), tensor=False) * (2.0 / self.length_s)
         return np.concatenate([found, slope], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class _TdbTable:
-    """A table over TDB seconds after J2000, as a table over seconds after the epoch."""
+    """Adapter of a table over TDB seconds after J2000 to seconds after the epoch."""
 
     clock: Clock
     table: Table
@@ -111,7 +114,7 @@ def read_spk(path: Path, clock: Clock, target: str | int | None, centre: str) ->
 
 
 def _segments(path: Path) -> list[Any]:
-    """Segments of a kernel, with its arrays in reach as long as they live."""
+    """Segments of a kernel, each with its numbers in the attribute `words`."""
     from jplephem.daf import DAF
     from jplephem.spk import SPK
 
@@ -120,6 +123,7 @@ def _segments(path: Path) -> list[Any]:
         with path.open("rb") as file:
             kernel = SPK(DAF(file))
             for segment in kernel.segments:
+                # Read now, because the file is closed before the segments are used.
                 segment.words = kernel.daf.read_array(segment.start_i, segment.end_i).astype(float)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give an SPK kernel") from error
@@ -145,8 +149,9 @@ def _segment(path: Path, clock: Clock, segment: Any) -> Segment:
 
 
 def _table(kind: int, words: FloatArray) -> ChebyshevTable | StateTable:
-    """Table over TDB seconds of a segment's words."""
+    """Table over TDB seconds from the words of a segment (*SPK Required Reading*)."""
     if kind in (_POSITIONS, _STATES):
+        # Each record has its middle and radius, which follow from its number, and the coefficients of each component.
         first_s, length_s, size, count = words[-4:]
         columns = 3 if kind == _POSITIONS else 6
         records = words[: int(size) * int(count)].reshape(int(count), int(size))[:, 2:]
@@ -155,6 +160,8 @@ def _table(kind: int, words: FloatArray) -> ChebyshevTable | StateTable:
     count = int(words[-1])
     states = words[: 6 * count].reshape(count, 6)
     method: Literal["hermite", "lagrange"] = "hermite" if kind in _HERMITE else "lagrange"
+    # The last words are the degree or window size minus one, which is the number of nodes minus one in both cases, and
+    # the count of states.
     if kind in _EQUAL_STEPS:
         first_s, step_s = words[-4], words[-3]
         t_s = first_s + step_s * np.arange(count)

@@ -26,7 +26,7 @@ class Rows(NamedTuple):
     t_s: FloatArray
     """(N,): Seconds after the scenario's epoch, ascending."""
     values: FloatArray
-    """(N, C): The columns asked for."""
+    """(N, C): The requested columns."""
     positions: list[str]
     """File and line (CSV), or file and row (Parquet), for messages."""
 
@@ -44,8 +44,8 @@ class _Text(NamedTuple):
 def read_rows(path: Path, clock: Clock, columns: Sequence[str], optional: Sequence[str] = ()) -> Rows:
     """Rows of a table with a header.
 
-    Its columns are ``utc`` (ISO 8601) or ``t_s`` (seconds after the scenario's epoch), and those asked for; others are
-    not read. In CSV, lines that start with ``#`` are comments. A file named ``*.parquet`` is read as Parquet.
+    Its columns are ``utc`` (ISO 8601) or ``t_s`` (seconds after the scenario's epoch), and the requested ones; others
+    are not read. In CSV, lines that start with ``#`` are comments. A file named ``*.parquet`` is read as Parquet.
 
     Parameters
     ----------
@@ -72,6 +72,7 @@ def read_rows(path: Path, clock: Clock, columns: Sequence[str], optional: Sequen
         raise InputError(f"{text.first}: columns are missing: {', '.join(missing)}")
     if len(text.rows) < 2:
         raise InputError(f"{path}: has fewer than two rows")
+    # Optional columns are read together or not at all.
     wanted = [*columns, *(optional if set(optional) <= set(text.header) else ())]
     indices = [text.header.index(name) for name in wanted]
     values = np.empty((len(text.rows), len(wanted)))
@@ -91,6 +92,7 @@ def read_rows(path: Path, clock: Clock, columns: Sequence[str], optional: Sequen
 
 
 def _csv(path: Path) -> _Text:
+    # Lines are parsed one by one, so that every row has its line number for messages.
     lines = [
         (n, line)
         for n, line in enumerate(read_text(path, MESSAGE_BYTES, "give a file of a table").splitlines(), 1)

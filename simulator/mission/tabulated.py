@@ -22,7 +22,7 @@ from startracker.errors import InputError
 CSV_COLUMNS = ("x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s")
 _CSV_NODES = 4
 RESOLUTION_S = 1e-6
-"""Epochs of files, and times after the scenario's epoch, are the same within this."""
+"""Rounding of epochs in files: a time within it of the end of a segment belongs to the segment."""
 
 
 class Table(Protocol):
@@ -38,8 +38,9 @@ class Segment:
     """A table with its centre and axes."""
 
     first_s: float
+    """Beginning of the usable span, seconds after the epoch."""
     last_s: float
-    """Usable span, seconds after the epoch."""
+    """End of the usable span."""
     centre: str
     """One of `simulator.mission.trajectory.CENTRES`."""
     frame: str
@@ -47,19 +48,20 @@ class Segment:
     table: Table
     """States over seconds after the epoch."""
     frame_epoch_s: float | None = None
-    """Time of the axes of date, seconds after the epoch; None for the time of each state."""
+    """Fixed date of the axes, seconds after the epoch; None if the axes are those of the time of each state."""
 
 
 @dataclass(frozen=True, eq=False)
 class TabulatedTrajectory:
-    """Segments in order of time. Where two overlap, the later one holds; between two that leave a gap, and outside of
-    all, there is no state."""
+    """Segments in order of time. Where two overlap, the later one is used; in a gap between two, and outside all of
+    them, there is no state."""
 
     clock: Clock
     """Epoch."""
     centre: str
     """Centre of the first segment, to which all states are referred."""
     segments: tuple[Segment, ...]
+    """The segments by their first times."""
     name: str
     """The file, for messages."""
     object_id: str = ""
@@ -99,6 +101,7 @@ class TabulatedTrajectory:
         return out[:, :3].reshape(*t.shape, 3), out[:, 3:].reshape(*t.shape, 3)
 
     def _states(self, segment: Segment, t_s: FloatArray) -> FloatArray:
+        # The interpolation is in the axes and about the centre of the segment; the result is transformed.
         found = segment.table.state(t_s)
         of_date_s = t_s if segment.frame_epoch_s is None else np.full_like(t_s, segment.frame_epoch_s)
         r_km, v_km_s = states_to_gcrs(segment.frame, self.clock, of_date_s, found[:, :3], found[:, 3:])
@@ -126,6 +129,7 @@ def piecewise(parts: Sequence[Part], clock: Clock, t_s: FloatArray, name: str, w
         Outside the span, or in a gap; `name` is the file, `what` the quantity, for the message.
     """
     refuse_outside(clock, t_s, (parts[0].first_s, max(part.last_s for part in parts)), name)
+    # A call without times gives the number of columns. Later parts overwrite earlier ones, and NaN marks gaps.
     out = np.full((t_s.size, parts[0].values(t_s[:0]).shape[1]), np.nan)
     for part in parts:
         rows = np.flatnonzero((t_s >= part.first_s) & (t_s <= part.last_s))

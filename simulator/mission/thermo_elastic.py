@@ -1,11 +1,11 @@
 """Thermo-elastic motion of a camera's mounting around the orbit.
 
-The structure between camera and body is heated and cooled once an orbit. To first order its deformation follows the
-first harmonic of the orbit angle u, with an amplitude A and a phase φ, the lag of the structure, about each axis:
+The structure between camera and body is heated and cooled once per orbit. Its deformation is modelled by the first
+harmonic of the orbit angle u, with an amplitude A and a phase lag φ about each axis:
 
     θ(u) = A cos(u − φ)
 
-Amplitudes and phases come from the thermal analysis of a spacecraft; there are no values that hold in general.
+Amplitudes and phases come from the thermal analysis of a spacecraft; there are no generally valid values.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from startracker.core import ARCSEC_RAD, FloatArray
 def angle_from_noon_rad(r_km: FloatArray, v_km_s: FloatArray, sun_direction: FloatArray) -> float:
     """Angle along the orbit from the point that is nearest to the Sun, radians in (−π, π].
 
-    The middle of the eclipse is at π. Where the Sun is along the normal of the orbit, no point is nearest, and the
-    angle is arbitrary.
+    The middle of the eclipse is at π. If the Sun is along the normal of the orbit, all points are at the same distance,
+    and the angle is arbitrary.
 
     Parameters
     ----------
     r_km, v_km_s : array, shape (3,)
         State relative to the centre of the orbit.
     sun_direction : array, shape (3,)
-        Towards the Sun, of the same axes.
+        Vector towards the Sun in the same axes, of any length.
     """
     normal = np.cross(r_km, v_km_s)
     normal = normal / np.linalg.norm(normal)

@@ -19,7 +19,7 @@ from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, radec_to_direction
 
 _LEAST_SINE = 1e-6
-"""Target and second direction that are nearer to each other, 0.2″, leave the roll undetermined."""
+"""Minimum sine of the angle between target and second direction (0.2″), below which the roll is undetermined."""
 
 
 class _Axes(NamedTuple):
@@ -31,8 +31,8 @@ class _Axes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrackingLaw:
-    """Attitudes by two directions: the first is met, the second as nearly as possible (TRIAD; Shuster & Oh 1981, J.
-    Guidance and Control 4, 70)."""
+    """Attitude law by two directions: one body axis points exactly along the first, another as closely as possible to
+    the second (TRIAD; Shuster & Oh 1981, J. Guidance and Control 4, 70)."""
 
     track: Track
     """Target and second direction."""
@@ -41,7 +41,7 @@ class TrackingLaw:
     orbit: Trajectory
     """Trajectory of the spacecraft."""
     other: Trajectory | None
-    """That of the spacecraft that is followed."""
+    """Trajectory of the spacecraft that is followed; None for other targets."""
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -65,11 +65,14 @@ class TrackingLaw:
                 f"pointing.track: at {when} UTC the target is along second_direction: {self.track.second_direction}, "
                 "which leaves the rotation about it open; use another second_direction"
             )
+        # Both matrices lead to the axes of the triad; ICRS → triad, then triad → body.
         body, _ = _triads(self.axes.first[None], self.axes.second[None])
         return from_matrices(np.swapaxes(body, -1, -2) @ seen)
 
     def _target(self, t_s: FloatArray, own: States) -> FloatArray:
         """Vectors (T, 3) towards the target, ICRS axes, any length."""
+        # To first order only the velocity of the target relative to the spacecraft matters, so any common origin
+        # serves: the Earth's centre for a point on the ground, the barycentre for the others.
         name, clock = self.track.target, self.orbit.clock
         if name == "nadir":
             return -own.r_km
@@ -96,9 +99,9 @@ class TrackingLaw:
 def apparent(target: States, observer: States) -> FloatArray:
     """Vectors (T, 3) towards a target as an observer sees it, from states (T, 3) relative to the same origin.
 
-    With d the distance vector and τ = |d|/c, the target is seen where it was at t − τ, displaced by the aberration of
-    the observer's velocity: d + (v_observer − v_target) τ, to first order in v/c and τ: 5 mas for planets. Light
-    deflection is neglected.
+    With d the distance vector and τ = |d|/c, the target is seen at its position at t − τ, displaced by the aberration
+    of the observer's velocity: d + (v_observer − v_target) τ. The error of this first order in v/c and τ is 5 mas for
+    planets. Light deflection is neglected.
     """
     away = target.r_km - observer.r_km
     light_s = np.linalg.norm(away, axis=-1, keepdims=True) / SPEED_OF_LIGHT_KM_S
@@ -131,6 +134,7 @@ def build_tracking(track: Track, orbit: Trajectory, other: Trajectory | None, mo
     InputError
         For axes that are parallel or zero.
     """
+    # By default the camera's boresight follows the target and its up axis, −y, the second direction.
     boresight, up = mounting.boresight, mounting.inverse.apply([0.0, -1.0, 0.0])
     first, second = (
         np.asarray(given if given is not None else own, dtype=float)
@@ -153,8 +157,8 @@ def _barycentric(trajectory: Trajectory, t_s: FloatArray) -> States:
 
 
 def _triads(first: FloatArray, second: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Matrices (T, 3, 3) with the rows first, first × second and their product, unit vectors, and where the two
-    vectors (T, 3) are parallel or zero."""
+    """Matrices (T, 3, 3) whose rows are the unit vectors along a, a × b and a × (a × b) for vectors a and b (T, 3), and
+    a mask (T,) of those that are parallel or zero."""
     lengths = np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1)
     normal = np.cross(first, second)
     sine = np.linalg.norm(normal, axis=-1)

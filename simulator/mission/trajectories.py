@@ -1,4 +1,4 @@
-"""The trajectory of a scenario's ``orbit`` section, by what the section gives."""
+"""Build the trajectory of a scenario's ``orbit`` section."""
 
 from __future__ import annotations
 
@@ -25,18 +25,22 @@ from simulator.mission.trajectory import Trajectory
 from startracker.errors import InputError
 
 _NUMERICAL_SPAN = (datetime(1899, 10, 1, tzinfo=UTC), datetime(2053, 8, 1, tzinfo=UTC))
-"""Range of DE421 less two months, some steps of the integrator."""
+"""Range of DE421, reduced by two months at either end, because the integrator needs some steps beyond a time."""
 
 
 class _Given(NamedTuple):
+    """A section with the clock and the folder of its files."""
+
     section: OrbitParameters
     clock: Clock
     folder: Path
 
     def file(self, key: str) -> Path:
+        """File that a key of the section names."""
         return self.folder / str(getattr(self.section, key))
 
     def frame(self, otherwise: str) -> str:
+        """Axes that the section states; `otherwise` for ``auto``."""
         return otherwise if self.section.frame == "auto" else self.section.frame
 
 
@@ -66,6 +70,7 @@ def _circular(given: _Given) -> Trajectory:
     orbit = build_orbit(given.section, given.clock.epoch)
     if given.section.propagator == "numerical":
         assert isinstance(orbit, J2Orbit)
+        # The mean elements at the epoch serve as osculating ones; for e = 0 the mean anomaly counts from the node.
         mean = orbit.elements
         elements = Elements(
             mean.semi_major_axis_km, 0.0, mean.inclination_rad, mean.raan_rad, 0.0, mean.argument_of_latitude_rad
@@ -84,6 +89,8 @@ def _elliptic(given: _Given) -> Trajectory:
         )
     angles = (keys.inclination_deg, keys.raan_deg, keys.argument_of_periapsis_deg, keys.mean_anomaly_deg)
     elements = Elements(keys.semi_major_axis_km, keys.eccentricity, *(math.radians(angle) for angle in angles))
+    # The secular rates by J2 refer to the equator of date; elements in other axes, or around other bodies, are those
+    # of two bodies.
     around_earth = section.centre == "Earth"
     frame = given.frame({"Earth": "equator_of_date", "Sun": "ecliptic"}.get(section.centre, "icrf"))
     name = section.propagator if section.propagator != "auto" else "j2" if around_earth else "kepler"
@@ -108,6 +115,7 @@ def _state(given: _Given) -> Trajectory:
     if section.propagator not in ("auto", "numerical"):
         raise InputError(f"orbit.propagator: {section.propagator} is not for a state vector; use numerical")
     matrix = to_frame(given.frame("icrf"), given.clock, 0.0)
+    # A row vector times the matrix is its inverse times the vector: from the frame of the section to ICRF.
     start = np.concatenate([np.array(section.state.position_km) @ matrix, section.state.velocity_km_s @ matrix])
     return _numerical(given, start, section.centre)
 

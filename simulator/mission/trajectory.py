@@ -1,4 +1,4 @@
-"""Trajectory of a spacecraft: position and velocity at any time within a span, relative to a centre, ICRF axes."""
+"""Interface of trajectories: position and velocity at any time within a span, relative to a centre, ICRF axes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from startracker.errors import InputError
 
 BARYCENTRE = "Solar system barycentre"
 CENTRES = (*DE421_NAME, *DE421_BARYCENTRES, BARYCENTRE)
-"""Centres of trajectories: all points of DE421. Jupiter to Neptune are the barycentres with their moons; that of Mars
-is within a metre of its centre, and Mercury and Venus have no moons."""
+"""Centres of trajectories: all points of DE421. Jupiter to Neptune stand for the barycentres of their systems. The
+barycentre of Mars and its moons is within a metre of the planet's centre, and Mercury and Venus have no moons."""
 
 GM_KM3_S2 = {
     "Mercury": 22_031.78,
@@ -34,8 +34,8 @@ GM_KM3_S2 = {
     "Pluto barycentre": 977.0,
     BARYCENTRE: 132_712_440_041.9394,
 }
-"""Gravitational parameters: DE430 and DE431 (Folkner et al. 2014, IPN Progress Report 42-196, table 8), those of Mars
-and beyond with the moons; the Earth's is `EARTH_GM_KM3_S2`. The barycentre has that of the Sun."""
+"""Gravitational parameters of DE430 and DE431 (Folkner et al. 2014, IPN Progress Report 42-196, table 8), for Mars and
+beyond including the moons; for the Earth `EARTH_GM_KM3_S2`, and for the barycentre of the solar system the Sun's."""
 
 UNLIMITED = (-math.inf, math.inf)
 
@@ -101,6 +101,7 @@ def refuse_outside(clock: Clock, t_s: FloatArray, span_s: tuple[float, float], w
     InputError
         If any time is outside, or NaN.
     """
+    # Negated, because every comparison with NaN is false.
     outside = ~((t_s >= span_s[0]) & (t_s <= span_s[1]))
     if outside.any():
         first, last = (clock.isot(limit) for limit in span_s)
@@ -128,6 +129,7 @@ def centre_state(centre: str, clock: Clock, t_s: float | FloatArray) -> States:
     """
     if centre == BARYCENTRE:
         return States(np.zeros((*np.shape(t_s), 3)), np.zeros((*np.shape(t_s), 3)))
+    # Skyfield converts TT to TDB, the argument of the ephemeris; its arrays have the components first.
     at = barycentric(centre, timescale().tt_jd(*clock.tt_jd(t_s)))
     return States(at.xyz.km.T, at.velocity.km_per_s.T)
 

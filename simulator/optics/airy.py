@@ -39,7 +39,7 @@ def intensity(x: ArrayLike, obscuration: float = 0.0) -> FloatArray:
     I = π/(4(1−ε²)) [2J₁(v)/v − ε² 2J₁(εv)/(εv)]², v = πx; Born & Wolf, § 8.6.2 (there relative to the central value,
     which is π(1−ε²)/4).
     """
-    v = np.maximum(np.pi * np.abs(np.asarray(x, dtype=float)), 1e-9)
+    v = np.maximum(np.pi * np.abs(np.asarray(x, dtype=float)), 1e-9)  # 2J₁(v)/v is 1 at v = 0
     amplitude = 2.0 * j1(v) / v
     if obscuration > 0.0:
         amplitude = amplitude - 2.0 * obscuration * j1(obscuration * v) / v
@@ -63,6 +63,7 @@ def encircled_energy(x: FloatArray | float, obscuration: float = 0.0) -> FloatAr
 
 def _cross_term(v: FloatArray, obscuration: float) -> FloatArray:
     """∫₀ᵛ J₁(t) J₁(εt)/t dt by Gauss–Legendre quadrature in panels no wider than 2."""
+    # The wanted arguments are edges of panels, so the interpolation at the end only looks up the cumulative sums.
     last = float(np.max(v, initial=1.0))
     edges = np.union1d(np.arange(0.0, last, 2.0), np.ravel(v))
     nodes, weights = np.polynomial.legendre.leggauss(10)
@@ -86,7 +87,9 @@ def transfer_function(s: FloatArray, obscuration: float = 0.0) -> FloatArray:
     e = obscuration
     scaled = np.minimum(s / e, 1.0)
     hole = e * e * 2.0 / np.pi * (np.arccos(scaled) - scaled * np.sqrt(1.0 - scaled * scaled))
-    d = np.clip(2.0 * s, 1.0 - e, 1.0 + e)  # distance of the centres; below this the obscuration is entirely inside
+    # Distance of the centres of pupil (radius 1) and shifted obscuration (radius e). Below 1 − e the obscuration is
+    # entirely inside the pupil, above 1 + e outside. The common area is that of two circular segments.
+    d = np.clip(2.0 * s, 1.0 - e, 1.0 + e)
     big = np.arccos(np.clip((d * d + 1.0 - e * e) / (2.0 * d), -1.0, 1.0))
     small = np.arccos(np.clip((d * d + e * e - 1.0) / (2.0 * d * e), -1.0, 1.0))
     product = (1.0 + e - d) * (d + e - 1.0) * (d + 1.0 - e) * (d + 1.0 + e)
@@ -105,9 +108,9 @@ def pixel_integrals(
 ) -> FloatArray:
     """Fraction of the light in a pixel whose centre is (u, v) pixels from the star.
 
-    Fourier series of the Airy pattern convolved with the pixel. The spectrum ends at 1/(λN), so that this is an exact
-    sum over a finite set of frequencies. The period is so large that the periodic copies add less than 1e-6 of the
-    light to any pixel.
+    The Airy pattern convolved with the pixel is evaluated as a Fourier series. Its spectrum ends at 1/(λN), so that
+    this is an exact sum over a finite set of frequencies. The period is so large that the periodic copies add less than
+    1e-6 of the light to any pixel.
 
     Parameters
     ----------
@@ -122,7 +125,7 @@ def pixel_integrals(
     diffusion_px : float
         Standard deviation of a Gaussian blur, pixels along columns.
     contrast : float
-        Of the response across a pixel (`simulator.optics.pixel_response`).
+        Contrast of the response across a pixel (`simulator.optics.pixel_response`).
 
     Returns
     -------
@@ -138,17 +141,18 @@ def pixel_integrals(
     if diffusion_px > 0.0:
         across = (fx[None, :] * diffusion_px) ** 2 + (fy[:, None] * diffusion_px * aspect) ** 2
         spectrum = spectrum * np.exp(-2.0 * np.pi**2 * across)
+    # The pattern is even in both axes, so the series has cosines only, and separates into two products of matrices.
     return np.asarray(_cosines(v, fy) @ spectrum @ _cosines(u, fx).T)
 
 
 def annulus_share(r_px: FloatArray, lambda_n_px: float, aspect: float, obscuration: float = 0.0) -> FloatArray:
     """Fraction of the light in a pixel at distance r (pixels along columns), far out in the wings.
 
-    The mean of the pattern over a ring as wide as the side of a square pixel of the same area, so that the pixels
-    beyond a radius sum to the light beyond it. Dark rings closer than two pixels are averaged: the width of the ring is
-    then an integer multiple of λN, as otherwise the sum over pixels would depend on the sub-pixel position of the star.
-    The error is below λN/(31 (1−ε) r³) (about the pattern itself): less than 8e-5 of the light for a clear aperture and
-    r ≥ 4 λN + 3.
+    This is the mean of the pattern over a ring as wide as the side of a square pixel of the same area, so that the
+    pixels beyond a radius sum to the light beyond it. If dark rings are closer than two pixels, the width of the ring
+    is an integer multiple of λN, because otherwise the sum over pixels would depend on the sub-pixel position of the
+    star. The error is below λN/(31 (1−ε) r³), about the pattern itself: less than 8e-5 of the light for a clear
+    aperture and r ≥ 4 λN + 3.
     """
     side = 1.0 / math.sqrt(aspect)  # the pixel's area in units of columns squared is 1/aspect
     width = lambda_n_px * math.ceil(side / lambda_n_px) if lambda_n_px < 2.0 * side else side
@@ -158,10 +162,12 @@ def annulus_share(r_px: FloatArray, lambda_n_px: float, aspect: float, obscurati
 
 
 def _frequencies(period: float, lambda_n: float) -> FloatArray:
+    """Harmonics of the period, cycles per pixel, from 0 to the cut-off 1/(λN)."""
     return np.arange(math.floor(period / lambda_n) + 1) / period
 
 
 def _cosines(x: FloatArray, frequency: FloatArray) -> FloatArray:
+    # The factor 2 stands for the pair of frequencies ±f; the mean, f = 0, occurs once.
     table = 2.0 * np.cos(2.0 * np.pi * np.outer(x, frequency))
     table[:, 0] = 1.0
     return np.asarray(table)

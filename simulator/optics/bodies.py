@@ -1,4 +1,4 @@
-"""Moon and planets with a disk: lit side, terminator, blur by the optics, smear.
+"""Rendering of Moon and planets as disks: lit side, terminator, blur by the optics, smear.
 
 A disk is rendered on a grid finer than the pixels, at every moment of the exposure, and convolved with the PSF, whose
 tables include the integration over pixels.
@@ -16,16 +16,17 @@ from scipy import fft
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX
 from simulator.optics.splat import render_stars
+from startracker._compiled import kernel
 from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel_part, pixel_kernel
 
 CONVOLVED_PX = 256.0
 """Larger disks are rendered without blur: their radius is a hundred times the width of a PSF."""
 
 _CORE_HALF_PX = 16
-"""Within this many pixels the PSF is convolved at every sub-pixel position, beyond it at one."""
+"""Up to this distance the PSF is evaluated at the sub-pixel position of every cell of the disk, beyond it once per
+pixel."""
 
 LOMMEL_SEELIGER, LAMBERT = 0, 1
 LAWS = {"lommel_seeliger": LOMMEL_SEELIGER, "lambert": LAMBERT}
@@ -89,11 +90,14 @@ def share_before_limb(
     cosine = min(max(2.0 * illuminated_fraction - 1.0, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     step = 2.0 / _SHARE_SAMPLES
-    t = (np.arange(_SHARE_SAMPLES) + 0.5) * step - 1.0  # towards the limb; the Sun is along +x
+    # The disk is sampled on a grid of unit radius: t towards the occulting body, p perpendicular to it, and mu, the
+    # cosine of the observer's zenith angle, is the height of the sphere above the grid.
+    t = (np.arange(_SHARE_SAMPLES) + 0.5) * step - 1.0
     p = t[:, None]
     mu = np.sqrt(np.maximum(1.0 - t * t - p * p, 0.0))
     mu_0 = np.maximum((t * math.cos(between_rad) - p * math.sin(between_rad)) * sine + mu * cosine, 0.0) * (mu > 0.0)
     light = mu_0 if LAWS[law] == LAMBERT else np.divide(mu_0, mu_0 + mu, out=mu_0, where=mu > 0.0)
+    # A cell that the limb crosses counts in proportion to its free part, which makes the share continuous.
     before_limb = np.clip((offset + 0.5 * curvature * p * p - t) / step + 0.5, 0.0, 1.0)
     whole = float(light.sum())
     return float((light * before_limb).sum()) / whole if whole > 0.0 else 1.0
@@ -118,6 +122,7 @@ def sun_angle_rad(camera: Camera, attitude: Attitude, body: ArrayLike, sun: Arra
     if length < 1e-12:
         return 0.0
     step = 1e-4
+    # The projection of a short step towards the Sun includes the parity of the camera.
     pair = camera.project(attitude.apply(np.stack([u, u * math.cos(step) + towards / length * math.sin(step)])))
     dx, dy = (pair[1] - pair[0]) / (camera.fx, camera.fy)
     return math.atan2(float(dy), float(dx)) if math.isfinite(dx + dy) else 0.0
@@ -137,8 +142,8 @@ def draw_body(
     weights : (K,) array
         Fraction of the exposure of each moment.
     electrons : float
-        Electrons of the body over the exposure, whatever its phase (the magnitude includes the phase); all are
-        rendered, except for light beyond the end of the PSF.
+        Electrons of the body over the exposure. The magnitude, and so this number, includes the phase; all electrons
+        are rendered, except for those beyond the end of the PSF.
     disk : LitDisk
         Size, phase and limb.
     psf : Psf
@@ -162,6 +167,7 @@ def draw_body(
     smallest = min(disk.radius_x, disk.radius_y)
     fine = _oversampling(smallest) if blurred else 1
     cells = np.zeros((rows * fine, columns * fine))
+    # Centres of pixels and of cells have integer coordinates, so the conversion is from edge to edge.
     centres = np.ascontiguousarray((path - (left, top) + 0.5) * fine - 0.5)
     in_cells = disk._replace(radius_x=disk.radius_x * fine, radius_y=disk.radius_y * fine)
     add_lit_disk(cells, centres, amounts, in_cells, _samples(smallest * fine))
@@ -183,8 +189,8 @@ def _may_reach_image(
 def _patch(
     path: FloatArray, shape: tuple[int, ...], disk: LitDisk, reach_px: tuple[int, int]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First pixel (column, row) and size (columns, rows) of the patch that contains the disk along its path, cut where
-    its light does not reach the image."""
+    """First pixel (column, row) and size (columns, rows) of the patch that contains the disk along its path, without
+    the part whose light does not reach the image."""
     ends = [
         (
             max(math.floor(low - radius - 1.0), -reach - 1),
@@ -212,7 +218,7 @@ def _samples(radius_cells: float) -> int:
     return min(max(math.ceil(256.0 / radius_cells), 2), 32)
 
 
-@pixel_kernel
+@kernel
 def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, disk: LitDisk, samples: int) -> None:
     """Kernel: light of a lit sphere with its radii in cells of `image`, sampled at `samples`² points per cell, added
     with `amounts` (K,) at the centres (K, 2)."""
@@ -225,12 +231,13 @@ def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, di
         total = 0.0
         for j in range(box.shape[0]):
             for i in range(box.shape[1]):
+                # Cells outside the disk are skipped by the distance of their nearest point from its centre.
                 nearest_u = max(abs(i - x) - 0.5, 0.0) / radius_x
                 nearest_v = max(abs(j - y) - 0.5, 0.0) / radius_y
                 inside = nearest_u * nearest_u + nearest_v * nearest_v < 1.0
                 box[j, i] = _light_of_cell(i - x, j - y, disk, samples) if inside else 0.0
                 total += box[j, i]
-        if total <= 0.0:  # a crescent thinner than the sampling distance: all light at the limb
+        if total <= 0.0:  # a crescent thinner than the sampling distance: all light is in one cell at the limb
             i = min(max(math.floor(x + radius_x * math.cos(sun_angle) + 0.5), 0), box.shape[1] - 1)
             j = min(max(math.floor(y + radius_y * math.sin(sun_angle) + 0.5), 0), box.shape[0] - 1)
             box[j, i] = total = 1.0
@@ -240,7 +247,7 @@ def add_lit_disk(image: FloatArray, centres: FloatArray, amounts: FloatArray, di
                 image[top + j, left + i] += scale * box[j, i]
 
 
-@kernel_part
+@kernel
 def _light_of_cell(x: float, y: float, disk: LitDisk, samples: int) -> float:
     """Sum of the scattering law over `samples`² points of the cell at (x, y) from the centre of the disk."""
     offset, bend = disk.limb[0], 0.5 * disk.limb[1]
@@ -260,6 +267,7 @@ def _light_of_cell(x: float, y: float, disk: LitDisk, samples: int) -> float:
             if offset < 1.0 and u * along_x + v * along_y > offset + bend * (v * along_x - u * along_y) ** 2:
                 continue
             mu = math.sqrt(square)
+            # The Sun's direction is (sun_x, sun_y, cosine), as the illuminated fraction is (1 + cos α)/2.
             mu_0 = u * sun_x + v * sun_y + mu * cosine
             if mu_0 > 0.0:
                 light += mu_0 if disk.law == LAMBERT else mu_0 / (mu_0 + mu)
@@ -275,11 +283,11 @@ def _add_convolved(
     electrons: float,
     psf: Psf,
 ) -> None:
-    """Add a blurred disk on a grid of `fine`² cells per pixel, which begins at the pixel `first` (column, row): the
-    PSF's core for each cell, its wings for each pixel.
+    """Add a blurred disk, given on a grid of `fine`² cells per pixel that begins at the pixel `first` (column, row).
 
-    Cells are represented by points at their centres, which adds a variance of 1/12 cell²; the filter (−1, 26, −1)/24
-    along both axes corrects for this.
+    Each cell is convolved with the PSF's core at its own sub-pixel position, and the sum of the cells of a pixel with
+    the wings. Cells are represented by points at their centres, which adds a variance of 1/12 cell²; the filter
+    (−1, 26, −1)/24 along both axes corrects for this.
     """
     disk = np.pad(disk, fine)
     (left, top), (reach_x, reach_y) = (first[0] - 1, first[1] - 1), reach_px
@@ -289,18 +297,22 @@ def _add_convolved(
     rows, columns = (cells // fine for cells in disk.shape)
     offsets = [((a + 0.5) / fine - 0.5, (b + 0.5) / fine - 0.5) for b in range(fine) for a in range(fine)]
     cores = np.stack([_stamp(psf, electrons, half_x, half_y, offset) for offset in offsets])
+    # One image of the pixels for each of the fine² positions of a cell within its pixel.
     parts = disk.reshape(rows, fine, columns, fine).transpose(1, 3, 0, 2).reshape(-1, rows, columns)
     _add(mean_e, np.maximum(_convolved(parts, cores), 0.0), left - half_x, top - half_y)
     if reach_x > half_x or reach_y > half_y:
         wings = _stamp(psf, electrons, reach_x, reach_y, (0.0, 0.0))
+        # The core of the stamp has been added with the cells already.
         wings[reach_y - half_y : reach_y + half_y + 1, reach_x - half_x : reach_x + half_x + 1] = 0.0
         whole = disk.reshape(rows, fine, columns, fine).sum(axis=(1, 3))
         _add(mean_e, np.maximum(_convolved(whole[None], wings[None]), 0.0), left - reach_x, top - reach_y)
 
 
 def _convolved(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Sum of the full convolutions of pairs of images (N, ., .) by Fourier transforms, as ``scipy.signal.fftconvolve``,
-    whose import takes a fifth of a cold start."""
+    """Sum over pairs of images (N, ., .) of their full convolutions, by Fourier transforms.
+
+    ``scipy.signal.fftconvolve`` does the same, but its import takes a fifth of the time of a cold start.
+    """
     rows, columns = (a + b - 1 for a, b in zip(first.shape[1:], second.shape[1:], strict=True))
     size = [fft.next_fast_len(n, real=True) for n in (rows, columns)]
     product = np.einsum("nij,nij->ij", fft.rfft2(first, size), fft.rfft2(second, size))

@@ -51,6 +51,7 @@ class Curve:
             raise InputError("a curve must have finite values only")
         if not (np.diff(wavelength_nm) > 0).all():
             raise InputError("the wavelengths of a curve must be ascending")
+        # Copies that cannot be modified, because curves are shared.
         for array in (wavelength_nm, value):
             array.flags.writeable = False
         object.__setattr__(self, "wavelength_nm", wavelength_nm)
@@ -58,7 +59,7 @@ class Curve:
 
     @classmethod
     def flat(cls, value: float) -> Curve:
-        """The same value over `FLAT_RANGE_NM`."""
+        """A constant over `FLAT_RANGE_NM`."""
         return cls(np.array(FLAT_RANGE_NM), np.array([value, value]))
 
     def __call__(self, wavelength_nm: ArrayLike) -> FloatArray:
@@ -127,6 +128,7 @@ def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None =
             encoding="utf-8"
         )
         return _parse(text, spec)
+    # A text that looks like a path is reported as a missing file, any other as an unknown name with a suggestion.
     path = Path(base_dir or ".") / spec
     if path.suffix.lower() == ".csv" or len(Path(spec).parts) > 1 or path.is_file():
         return _parse(read_text(path, CURVE_BYTES, f"give a CSV file of the {what}"), str(path))

@@ -1,4 +1,4 @@
-"""Wavefronts of a lens, by wavelength and position in the field, and their images integrated over pixels."""
+"""Wavefronts of a lens as functions of wavelength and field position, and their images integrated over pixels."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from startracker.core import FloatArray
 
 
 def defocus_waves(shift_um: float, f_number: float, wavelength_nm: float) -> float:
-    """Zernike defocus (waves rms) of a detector δ away from the focus.
+    """Zernike defocus (waves rms) of a detector at a distance δ from the focus.
 
-    The wavefront at the edge of the pupil is W₀₂₀ = δ/(8N²) (Born & Wolf, § 8.8; paraxial, error about 1/(16N²) of
-    it), and W₀₂₀ρ² is W₀₂₀/(2√3) of Noll's Z4 = √3(2ρ² − 1) plus piston. Positive δ: the detector is behind the focus.
+    The wavefront at the edge of the pupil is W₀₂₀ = δ/(8N²) (Born & Wolf, § 8.8; paraxial, with a relative error of
+    about 1/(16N²)), and W₀₂₀ρ² is W₀₂₀/(2√3) of Noll's Z4 = √3(2ρ² − 1) plus piston. δ is positive if the detector is
+    behind the focus.
     """
     return shift_um / (8.0 * f_number**2) / (wavelength_nm * 1e-3) / (2.0 * math.sqrt(3.0))
 
@@ -35,8 +36,9 @@ def axial_coefficients(psf_model: PsfModel, f_number: float) -> FloatArray:
 def field_coefficients(field: FieldAberrations, h: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
     """Zernike coefficients of the aberrations that grow with the field, waves rms.
 
-    Third order (Welford 1986, Aberrations of Optical Systems, § 7): coma ∝ h with its axis along the radius, c h √8
-    (3ρ³ − 2ρ) cos(θ − φ); astigmatism ∝ h² about it, a h² √6 ρ² cos 2(θ − φ); curvature of the field, a defocus ∝ h².
+    Third-order aberrations (Welford 1986, Aberrations of Optical Systems, § 7): coma ∝ h along the radius, c h √8
+    (3ρ³ − 2ρ) cos(θ − φ); astigmatism ∝ h² about the radius, a h² √6 ρ² cos 2(θ − φ); and field curvature, a
+    defocus ∝ h².
 
     Parameters
     ----------
@@ -62,6 +64,7 @@ def field_coefficients(field: FieldAberrations, h: ArrayLike, azimuth_rad: Array
 def mirrored(coefficients: FloatArray, swap: bool, sign_x: int, sign_y: int) -> FloatArray:
     """Zernike coefficients (11,) of W(±x, ±y) or, swapped, W(±y, ±x), with `sign_x` the sign of x and `sign_y` that of
     y."""
+    # Index j − 1 holds Noll's Z_j. Each reflection exchanges sine and cosine terms, or changes their signs.
     c = coefficients.copy()
     if swap:  # θ → π/2 − θ
         c[[1, 2, 6, 7]] = c[[2, 1, 7, 6]]
@@ -74,7 +77,10 @@ def mirrored(coefficients: FloatArray, swap: bool, sign_x: int, sign_y: int) -> 
 
 
 def spread_px(waves: FloatArray, lambda_n_px: FloatArray, obscuration: float) -> float:
-    """Radius of the geometric image about its centroid, pixels along columns; `waves` (K, T), `lambda_n_px` (K,)."""
+    """Radius of the geometric image about its centroid, pixels along columns: the largest over the K wavelengths.
+
+    `waves` (K, T) are Zernike coefficients, `lambda_n_px` (K,) the values of λN in pixels.
+    """
     radius = 0.0
     for coefficients, scale in zip(waves, lambda_n_px, strict=True):
         shift = 2.0 * float(np.hypot(*pupil.mean_slope(coefficients[None], obscuration)[0]))
@@ -90,7 +96,7 @@ class Images:
     waves : (K, T) array
         Zernike coefficients for each wavelength, in waves rms of that wavelength.
     lambda_n_px : (K,) array
-        λN of each, pixels along columns.
+        λN at each wavelength, pixels along columns.
     obscuration : float
         Central obscuration, fraction of the diameter.
     aspect : float
@@ -98,7 +104,7 @@ class Images:
     diffusion_px : float
         Standard deviation of the charge diffusion, pixels along columns.
     contrast : float
-        Of the response across a pixel (`simulator.optics.pixel_response`).
+        Contrast of the response across a pixel (`simulator.optics.pixel_response`).
     half_px : int
         Half width of the stamp, pixels (columns and rows).
     """
@@ -114,6 +120,8 @@ class Images:
         half_px: int,
     ) -> None:
         self.aspect, self.diffusion_px, self.contrast = aspect, diffusion_px, contrast
+        # All wavelengths are sampled on the grid of the shortest, so that their sum is a sum of arrays. The division by
+        # λN² converts the intensity per (λN)² to that per square pixel.
         self.finest = float(lambda_n_px.min())
         self.samples = sample_grid((half_px + 1.0) * max(1.0, 1.0 / aspect) + 4.0 * diffusion_px, self.finest)
         self.light = np.array(
@@ -132,7 +140,7 @@ class Images:
         along_x = pixel_matrix(x, self.samples, self.finest, self.diffusion_px, 1.0, self.contrast)
         if self.aspect == 1.0 and origin_px[0] == origin_px[1]:
             return along_x, along_x
-        size = 1.0 / self.aspect  # of a row, in columns
+        size = 1.0 / self.aspect  # pitch along rows in units of that along columns
         return along_x, pixel_matrix(y * size, self.samples, self.finest, self.diffusion_px, size, self.contrast)
 
     def shares(self, weights: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatArray:

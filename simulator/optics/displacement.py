@@ -1,24 +1,25 @@
 """Displacements of star images from the positions of the calibrated camera, in pixels.
 
 Calibration residual
-    What a calibration leaves: a smooth random field d(x, y), a sum of Legendre polynomials over the detector,
+    The error that remains after a calibration: a smooth random field d(x, y), a sum of Legendre polynomials over the
+    detector,
 
         d = Σ c_mn √(2m + 1) P_m(u) √(2n + 1) P_n(v),   m + n ≤ order,   u, v from −1 to 1 across the detector,
 
-    with normal coefficients of equal variance on both axes. Everything that a calibration fits is projected out: any
+    with Gaussian coefficients of equal variance on both axes. All terms that a calibration fits are projected out: any
     affine map (principal point, focal lengths, rotation, skew), the tilt of the camera, the radial terms r² to r⁶, and
-    the tangential ones (Brown 1966, Photogrammetric Engineering 32, 444). The rest is scaled to the stated rms,
-    exactly.
+    the tangential ones (Brown 1966, Photogrammetric Engineering 32, 444). The remainder is scaled to exactly the
+    stated rms.
 Lateral colour
-    A radius that depends on the wavelength, r' = r (1 + a (λ − λ₀)): linear in both, the primary lateral colour of a
-    lens (Welford 1986, *Aberrations of Optical Systems*, section 10.3). The centroid of a star is displaced by its mean
-    wavelength; the spread of its light by the width of its spectrum is neglected.
+    A radius that depends on the wavelength, r' = r (1 + a (λ − λ₀)), linear in both: the primary lateral colour of a
+    lens (Welford 1986, *Aberrations of Optical Systems*, section 10.3). A star is displaced according to its mean
+    wavelength; the blur of its image due to the width of its spectrum is neglected.
 Centroid curve
-    A measured periodic error of the sub-pixel position, x' = x + A sin 2πx on each axis: that of pixels with a
-    symmetric response (Anderson & King 2000, PASP 112, 1360).
+    A measured periodic error of the sub-pixel position, x' = x + A sin 2πx on each axis, as for pixels with a symmetric
+    response (Anderson & King 2000, PASP 112, 1360).
 
-The sky is rendered with these displacements; the frame has the camera without them, so that the tracker sees the error.
-Extended light (disks of bodies apart, the sky and the Earth) is not displaced.
+The sky is rendered with these displacements, but the frame has the camera without them, so that they are errors for the
+tracker. Disks of bodies are displaced as a whole; other extended light (the sky and the Earth) is not.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ _ABSORBED_DEGREE = 7
 """Highest degree of the terms that a calibration fits: r⁶ times the position."""
 _GRID = 33
 _MARGIN = 1.5
+"""Points per axis on which the largest residual is searched, and a factor for maxima between them."""
 _BAND_NM = 500.0
 """Upper limit of the difference between mean wavelengths of stars."""
 
@@ -98,7 +100,7 @@ class Displacement:
     def of(
         cls, camera: Camera, residual: FloatArray | None, colour: LateralColour, reference_nm: float, curve_px: float
     ) -> Displacement:
-        """Displacement by the parameters of a lens; `reference_nm` is the mean wavelength of its reference stars."""
+        """Displacement from the parameters of a lens; `reference_nm` is the mean wavelength of its reference stars."""
         corner_px = 0.5 * math.hypot(camera.width, camera.height)
         return cls(camera, residual, colour.corner_px / (C_LINE_NM - F_LINE_NM) / corner_px, reference_nm, curve_px)
 
@@ -141,7 +143,9 @@ class Displacement:
             moved += scale.reshape(-1, *[1] * (xy.ndim - 1)) * (xy - (camera.cx, camera.cy))
         if self.residual is not None:
             size = np.array([camera.width, camera.height])
-            u, v = np.moveaxis(np.clip((2.0 * xy + 1.0) / size - 1.0, -1.0, 1.0), -1, 0)  # edge to edge
+            # −1 to 1 from the outer edge of the first pixel, at −0.5, to that of the last one. Outside the detector the
+            # residual is that of the edge, as polynomials diverge there.
+            u, v = np.moveaxis(np.clip((2.0 * xy + 1.0) / size - 1.0, -1.0, 1.0), -1, 0)
             moved += _field(self.residual, u, v)
         if self.curve_px:
             moved += self.curve_px * np.sin(2.0 * np.pi * xy)
@@ -164,10 +168,13 @@ def draw_residual(camera: Camera, parameters: CalibrationResidual, rng: np.rando
         return None
     degree = max(parameters.order, _ABSORBED_DEGREE)
     m, n = np.meshgrid(np.arange(degree + 1), np.arange(degree + 1), indexing="ij")
+    # The terms that a calibration fits span a subspace of the coefficients; a QR decomposition gives an orthonormal
+    # basis of it, and the projection onto the basis is subtracted.
     drawn = np.where(m + n <= parameters.order, rng.standard_normal((2, degree + 1, degree + 1)), 0.0)
     absorbed = np.linalg.qr(_absorbed(camera, degree).reshape(-1, 2 * (degree + 1) ** 2).T)[0]
     left = drawn.ravel() - absorbed @ (absorbed.T @ drawn.ravel())
-    # the polynomials are normalised: the sum of squares is the mean square over the detector, of both axes together
+    # The polynomials are normalised, so the sum of the squares of the coefficients is the mean square over the detector
+    # of both axes together.
     left *= parameters.rms_px * math.sqrt(2.0 / float(left @ left))
     return np.asarray(left.reshape(drawn.shape))
 
@@ -176,11 +183,13 @@ def _absorbed(camera: Camera, degree: int) -> FloatArray:
     """Coefficients (13, 2, N, N) of the displacements that a calibration fits, by Gauss–Legendre quadrature."""
     nodes, weights = leggauss(degree + 2)  # exact up to twice the degree
     u, v = np.meshgrid(nodes, nodes, indexing="ij")
+    # Normalised image coordinates of the nodes, in which the terms of a lens model are defined.
     x = (0.5 * ((u + 1.0) * camera.width - 1.0) - camera.cx) / camera.fx
     y = (0.5 * ((v + 1.0) * camera.height - 1.0) - camera.cy) / camera.fy
     square, zero, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)
     terms = [(one, zero), (zero, one), (x, zero), (y, zero), (zero, x), (zero, y)]
     terms += [(square**power * x, square**power * y) for power in (1, 2, 3)]
+    # Tangential distortion, and the tilt of the camera about its two axes.
     terms += [(2.0 * x * y, square + 2.0 * y * y), (square + 2.0 * x * x, 2.0 * x * y), (x * x, x * y), (x * y, y * y)]
     along = _normalised(nodes, degree) * (0.5 * weights)[:, None]
     focal = np.array([camera.fx, camera.fy])

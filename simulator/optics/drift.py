@@ -1,4 +1,4 @@
-"""Sources with a motion of their own during the exposure, such as satellites."""
+"""Sources that move relative to the stars during the exposure, such as satellites."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 
 _CHORDS = 32
+"""Chords by which the length of a path is estimated."""
 
 
 class Drift(NamedTuple):
-    """Directions of N sources as they would be in the camera's axes at mid-exposure if the camera did not rotate."""
+    """Directions of N sources over time, in the axes of the camera at mid-exposure."""
 
     coefficients: FloatArray
     """(N, D, 3): Polynomial of the seconds from mid-exposure, lowest power first, of a vector along the direction."""
@@ -32,6 +33,7 @@ class Drift(NamedTuple):
     def at(self, t_s: FloatArray) -> FloatArray:
         """Unit vectors (N, K, 3) at moments (N, K)."""
         vectors = np.zeros((*t_s.shape, 3))
+        # Horner's scheme, from the highest power.
         for power in range(self.coefficients.shape[1] - 1, -1, -1):
             vectors = vectors * t_s[..., None] + self.coefficients[:, None, power]
         return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
@@ -58,7 +60,7 @@ def drifting_paths(
     Returns
     -------
     xy, weights
-        As of `star_paths`.
+        As returned by `star_paths`.
     """
     rate = np.asarray(rate_rad_s, dtype=float)
     limit_rad = path_limit_rad(camera, margin_px)
@@ -73,7 +75,7 @@ def drifting_paths(
 def longest_drift_px(
     camera: Camera, drift: Drift, rate_rad_s: FloatArray, exposure_s: float, limit_rad: float
 ) -> float:
-    """Length of the longest path on the image, by chords."""
+    """Length of the longest path on the image, pixels: the sum of its chords."""
     t_s = np.linspace(-0.5, 0.5, _CHORDS + 1) * exposure_s
     chords = np.linalg.norm(np.diff(_positions(camera, drift, rate_rad_s, t_s, limit_rad, None), axis=1), axis=-1)
     return float(np.nansum(chords, axis=1).max(initial=0.0))
@@ -88,6 +90,7 @@ def _positions(
     jitter: JitterMotion | None,
 ) -> FloatArray:
     """Pixels (N, K, 2) at moments (K,); NaN beyond an angle from the boresight."""
+    # The camera rotates by +ω t, so directions rotate by −ω t in its axes.
     turning = rotation_matrices(-rate_rad_s * t_s[:, None])
     if jitter is not None:
         turning = rotation_matrices(-jitter.at(t_s)) @ turning

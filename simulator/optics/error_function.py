@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray
-from startracker.kernels import kernel_part, pixel_kernel
 
 _PER_UNIT, _END = 16, 6
-"""Points per unit, and the argument from which the function is 1 to all digits."""
+"""Points per unit, and the argument beyond which the function is 1 to all digits."""
 _TERMS = 9
 
 
@@ -26,7 +26,7 @@ def _series() -> FloatArray:
     before, hermite = np.zeros_like(x), np.ones_like(x)
     for n in range(1, _TERMS):
         out[:, n] = 2.0 / math.sqrt(math.pi) * np.exp(-x * x) * hermite * (-1.0) ** (n - 1) / math.factorial(n)
-        before, hermite = hermite, 2.0 * x * hermite - 2.0 * (n - 1) * before
+        before, hermite = hermite, 2.0 * x * hermite - 2.0 * (n - 1) * before  # Hₙ = 2x Hₙ₋₁ − 2(n − 1) Hₙ₋₂
     return out
 
 
@@ -37,7 +37,7 @@ _SERIES = _series()
 def error_function(x: float) -> float:
     """Kernel: erf x for any finite or infinite x, accurate to 4e-16."""
     size = min(abs(x), float(_END))
-    point = int(size * _PER_UNIT + 0.5)
+    point = int(size * _PER_UNIT + 0.5)  # nearest point of the table
     d = size - point / _PER_UNIT
     c, d2 = _SERIES[point], d * d
     value: float = (
@@ -46,9 +46,10 @@ def error_function(x: float) -> float:
     return value if x >= 0.0 else -value
 
 
-@pixel_kernel
+@kernel
 def shares_of_pixels(out: FloatArray, first: int, last: int, centre: float, scale: float) -> None:
     """Kernel: fraction of a Gaussian at `centre` in each of the pixels first … last of a line; `scale` is 1/σ√2."""
+    # Neighbouring pixels share an edge, so each pixel needs only one new value of the function.
     low = error_function((first - 0.5 - centre) * scale)
     for i in range(last - first + 1):
         high = error_function((first + i + 0.5 - centre) * scale)

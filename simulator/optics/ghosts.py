@@ -1,4 +1,4 @@
-"""Ghosts: weak, defocused second images from two reflections between the surfaces of the lens.
+"""Ghosts: weak, defocused second images that arise from two reflections between surfaces of the lens.
 
 In a rotationally symmetric lens, the chief ray of light that is reflected twice remains in the meridional plane, so
 that to first order the ghost of a star at x is on the line through the principal point c, at
@@ -62,6 +62,7 @@ def ghost_sources(
     centre = np.array([camera.cx, camera.cy])
     positions, light, radii = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for ghost in ghosts:
+        # A ghost may be in the image although its source is outside, so all sources are examined.
         position = centre + ghost.scale * (xy - centre)
         share = ghost.flux * electrons
         seen = (

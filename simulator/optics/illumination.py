@@ -8,14 +8,14 @@ Jacobian of the projection; with the cos θ of the pupil this is the cos⁴ law 
     star:        cos θ · V(θ) · P(ρ)
     background:  cos θ · V(θ) · P(ρ) · Ω(x, y)/Ω(0)        = cos⁴ θ · V · P for the ideal pinhole
 
-`natural` switches cos θ. V is the common area of two circles, the pupil and the shadow of a rim behind or before it,
-whose distance is proportional to the image radius ρ. P = 1 + a₁ρ² + a₂ρ⁴ + a₃ρ⁶ is for measured curves. ρ is the
-undistorted image radius in focal lengths: tan θ for a pinhole, θ for a fisheye, 2 sin(θ/2) for an equisolid one. All
-factors are 1 at the principal point.
+`natural` enables the factor cos θ. V is the common area of two circles, the pupil and the shadow of a rim behind or in
+front of it, whose distance is proportional to the image radius ρ. P = 1 + a₁ρ² + a₂ρ⁴ + a₃ρ⁶ is a measured curve. ρ is
+the undistorted image radius in focal lengths: tan θ for a pinhole, θ for a fisheye, 2 sin(θ/2) for an equisolid one.
+All factors are 1 at the principal point.
 
 Validity: a flat pupil. In fisheyes and many wide-angle lenses the pupil tilts and grows towards the edge (Slyusarev
-1941), so that they are brighter than this law: leave `natural` off for them and give P. Source: M. Reiss, "The cos⁴ law
-of illumination", J. Opt. Soc. Am. 35 (1945) 283; R. Kingslake, *Optics in Photography* (1992), chapter 6.
+1941), so that they are brighter than this law; for such lenses leave `natural` off and give P. Source: M. Reiss, "The
+cos⁴ law of illumination", J. Opt. Soc. Am. 35 (1945) 283; R. Kingslake, *Optics in Photography* (1992), chapter 6.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ def relative_illumination(camera: Camera, vignetting: Vignetting, theta_rad: Arr
     -------
     array of the same shape, 0 or more
     """
+    # Factors that are off are skipped; NaN, from directions without an image, becomes 0 at the end.
     theta = np.asarray(theta_rad, dtype=float)
     factor = np.ones_like(theta)
     if vignetting.natural:
@@ -91,14 +92,15 @@ def star_illumination(camera: Camera, vignetting: Vignetting, directions: ArrayL
 
 
 def illumination_map(camera: Camera, vignetting: Vignetting) -> FloatArray:
-    """Illumination of every pixel (height, width) by a uniform sky, relative to that at the principal point of a lens
-    without distortion: solid angle times vignetting. Pixels without a direction are 0.
+    """Illumination of every pixel (height, width) by a uniform sky: solid angle times vignetting.
+
+    It is relative to the principal point of a lens without distortion, and 0 for pixels without a direction.
     """
     share = solid_angle_map(camera) * (camera.fx * camera.fy)
     if vignetting.is_off:
         return share
     x = np.arange(camera.width, dtype=float)
-    for first in range(0, camera.height, _STRIP_ROWS):
+    for first in range(0, camera.height, _STRIP_ROWS):  # strips limit the memory for the directions
         rows = np.arange(first, min(first + _STRIP_ROWS, camera.height), dtype=float)
         directions = camera.unproject(np.stack(np.meshgrid(x, rows), axis=-1).reshape(-1, 2))
         share[first : first + len(rows)] *= star_illumination(camera, vignetting, directions).reshape(len(rows), -1)
@@ -108,14 +110,15 @@ def illumination_map(camera: Camera, vignetting: Vignetting) -> FloatArray:
 def solid_angle_map(camera: Camera) -> FloatArray:
     """Solid angle of every pixel (height, width), sr, with distortion and projection; 0 for pixels without a direction.
 
-    The area of the quadrilateral of the pixel's corners on the sphere, accurate to 1e-6 for pixels of 0.1°. It is
-    smooth over the image and is interpolated by a polynomial through Chebyshev points, accurate to 1e-8 for a pinhole
-    of 120°. If part of the image has no direction, each pixel is computed.
+    The solid angle is the area of the quadrilateral of the pixel's corners on the sphere, accurate to 1e-6 for pixels
+    of 0.1°. It is smooth over the image and is interpolated by a polynomial through Chebyshev points, accurate to 1e-8
+    for a pinhole of 120°. If part of the image has no direction, every pixel is computed.
     """
     x, y = ((side * (_CHEBYSHEV + 1.0) - 1.0) / 2.0 for side in (camera.width, camera.height))
     nodes = _solid_angles(camera, np.stack(np.meshgrid(x, y), axis=-1))
     if np.isfinite(nodes).all():
         terms = chebyshev.chebvander(_CHEBYSHEV, len(_CHEBYSHEV) - 1)
+        # The interpolation separates: the same matrix is inverted along rows and along columns.
         coefficients = np.linalg.solve(terms, np.linalg.solve(terms, nodes).T).T
         along_x, along_y = (
             chebyshev.chebvander((2.0 * np.arange(side) + 1.0) / side - 1.0, len(_CHEBYSHEV) - 1)
@@ -134,6 +137,7 @@ def _solid_angles(camera: Camera, xy: FloatArray) -> FloatArray:
     """Solid angles (...) of pixels about the points (..., 2); NaN where a corner has no direction."""
     corners = np.stack([xy + corner for corner in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))])
     rays = camera.unproject(corners.reshape(-1, 2)).reshape(*corners.shape[:-1], 3)
+    # The area of a quadrilateral is half the cross product of its diagonals.
     return np.asarray(0.5 * np.linalg.norm(np.cross(rays[2] - rays[0], rays[3] - rays[1]), axis=-1))
 
 

@@ -1,7 +1,7 @@
 """Jitter: a small random rotation of the camera during the exposure, with a given power spectrum.
 
 About each axis the angle is a stationary Gaussian process of variance rms² and one-sided power spectral density
-rms² s(f), ∫ s df = 1, made of M cosines:
+rms² s(f), ∫ s df = 1, synthesised from M cosines:
 
     φ(t) = Σ_m  a_m cos 2π f_m t + b_m sin 2π f_m t,      a_m, b_m ~ N(0, rms² w_m)
 
@@ -9,15 +9,15 @@ For a frame the band is divided into M parts of equal variance, w = 1/M, and f_m
 so that the expected autocovariance is that of the spectrum at every lag, and φ is not periodic. It can be evaluated at
 any time.
 
-Over a sequence, and for spectra from a table, both the slow motion from frame to frame and the fast one within an
-exposure count, and either may be a small part of the variance. Half of the frequencies are then from such parts, and
-half from parts of equal width in log f; each has the variance
+Over a sequence, and for spectra from a table, both the slow motion from frame to frame and the fast motion within an
+exposure matter, and either may have a small part of the variance. Half of the frequencies are then from parts of equal
+variance, and half from parts of equal width in log f; each has the variance
 
     w_m = s(f_m) / (M/2 (s(f_m) + q(f_m))),      q(f) = 1/(f ln(f_max/f_min)),
 
-so that the expectation is the same (both densities sample the integral: the balance heuristic of Veach & Guibas 1995),
-and every octave has lines. Their amplitudes a² + b² = 2 rms² w are not random, only their phases, so that a single
-realisation has the spectrum and the rms asked for; with some seventy lines an octave its angles are Gaussian.
+so that the expectation is the same (multiple importance sampling with the balance heuristic of Veach & Guibas 1995) and
+every octave has lines. Their amplitudes a² + b² = 2 rms² w are fixed and only their phases are random, so that every
+single realisation has the requested spectrum and rms; with some seventy lines per octave its angles are Gaussian.
 
 Source: spectral representation of Shinozuka & Deodatis 1991, Appl. Mech. Rev. 44, 191, with random frequencies within
 the parts. Spectra of real spacecraft are given as tables.
@@ -74,7 +74,7 @@ _DECADES = 5.0
 """Frequencies of the logarithmic half begin at this many decades below the highest one."""
 
 LORENTZ_BAND = 8.0
-"""A Lorentz spectrum is truncated at this multiple of the corner frequency; the 8 % of its variance beyond are
+"""A Lorentz spectrum is truncated at this multiple of the corner frequency; the 8 % of its variance beyond it are
 distributed over the rest."""
 
 _TABLE_STEPS = 8193
@@ -87,12 +87,15 @@ class Spectrum:
     name: str
     """``white``, ``lorentz`` or ``table``."""
     corner_hz: float
+    """Corner frequency of ``white`` and ``lorentz``."""
     max_hz: float
-    """Corner of the first two; upper limit of the band."""
+    """Upper limit of the band."""
     frequency_hz: FloatArray = field(default_factory=lambda: np.empty(0))
+    """(F,): Frequencies of a table; empty for the others."""
     density: FloatArray = field(default_factory=lambda: np.empty(0))
+    """(F,): Density per Hz, whose integral is 1, linear between its points."""
     cumulative: FloatArray = field(default_factory=lambda: np.empty(0))
-    """(F,): For a table: density per Hz normalised to 1, linear between its points, and its integral."""
+    """(F,): Integral of the density from 0."""
 
     def per_hz(self, frequency_hz: ArrayLike) -> FloatArray:
         """One-sided density s(f) of a process with variance 1, 1/Hz."""
@@ -136,7 +139,7 @@ def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
     wanted = "pointing.jitter.table is a CSV file with two columns of numbers (frequency_hz, psd)"
     lines = read_text(path, CURVE_BYTES, wanted).splitlines()
     try:
-        rows = [line.split(",") for line in lines if line.strip() and not line.lstrip()[0].isalpha() and line[0] != "#"]
+        rows = [line.split(",") for line in map(str.strip, lines) if line and line[0] != "#" and not line[0].isalpha()]
         f, density = np.array([[float(cell) for cell in row] for row in rows]).T
     except ValueError as error:
         raise InputError(f"pointing.jitter.table: {path}: needs two columns of numbers (frequency_hz, psd)") from error
@@ -148,6 +151,7 @@ def load_spectrum(parameters: Jitter, base_dir: str | Path = ".") -> Spectrum:
     fine = np.unique(np.concatenate([f, np.linspace(f[0], f[-1], _TABLE_STEPS)]))
     values = np.interp(fine, f, density / area)
     steps = np.diff(fine) * (values[1:] + values[:-1]) / 2.0
+    # The table is refined because `quantile` interpolates linearly in the integral of a density that is itself linear.
     cumulative = np.concatenate([[0.0], np.cumsum(steps)])
     return Spectrum("table", parameters.corner_hz, float(f[-1]), fine, values, cumulative / cumulative[-1])
 
@@ -157,15 +161,17 @@ class JitterPath:
     """One realisation, as a function of time."""
 
     frequency_hz: FloatArray
+    """(M, 3): Frequencies of the components about each axis."""
     cosine_rad: FloatArray
+    """(M, 3): Amplitudes of their cosines."""
     sine_rad: FloatArray
-    """(M, 3): Amplitudes of the components about each axis."""
+    """(M, 3): Amplitudes of their sines."""
     max_hz: float
     """Upper limit of the frequencies."""
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))
-    """(3, 3): From those axes to camera axes."""
+    """(3, 3): From the axes of the jitter to camera axes."""
     offset_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,): Subtracted from the sum, camera axes."""
+    """(3,): Rotation vector subtracted from the sum, camera axes."""
     origin_s: float = 0.0
     """Time of mid-exposure on the scale of the realisation."""
 
@@ -180,14 +186,14 @@ class JitterPath:
         return np.asarray(own @ self.matrix.T - self.offset_rad)
 
     def mean(self, exposure_s: float) -> FloatArray:
-        """Mean rotation vector (3,) over an exposure about t = 0, exact: each cosine's is a sin(πfT)/(πfT)."""
+        """Mean rotation vector (3,) over an exposure T about t = 0: each component is reduced by sin(πfT)/(πfT)."""
         shares = np.sinc(self.frequency_hz * exposure_s)
         phase = 2.0 * np.pi * self.frequency_hz * self.origin_s
         now = self.cosine_rad * np.cos(phase) + self.sine_rad * np.sin(phase)
         return np.asarray(self.matrix @ (shares * now).sum(axis=0) - self.offset_rad)
 
     def centred(self, exposure_s: float) -> JitterPath:
-        """The same path about its own mean over the exposure."""
+        """The same path minus its mean over the exposure."""
         return replace(self, offset_rad=self.offset_rad + self.mean(exposure_s))
 
     def rate(self, exposure_s: float) -> FloatArray:
@@ -205,6 +211,7 @@ class JitterPath:
 
     def rms_rate_rad_s(self) -> FloatArray:
         """Root mean square (3,) of the angular rate, camera axes."""
+        # Independent components add in variance, also after the rotation into camera axes.
         power = (2.0 * np.pi * self.frequency_hz) ** 2 * (self.cosine_rad**2 + self.sine_rad**2) / 2.0
         return np.asarray(np.sqrt((self.matrix**2) @ power.sum(axis=0)))
 
@@ -230,7 +237,7 @@ def draw_jitter(
     body_to_camera : (3, 3) array, optional
         Matrix of the mounting, for `axes`: ``body``.
     over_sequence : bool
-        For a sequence. Its realisation does not depend on the number of frames.
+        Draw the jitter of a sequence; the realisation does not depend on the number of frames.
 
     Notes
     -----
@@ -241,6 +248,8 @@ def draw_jitter(
         return None
     matrix = camera_axes(parameters, body_to_camera)
     rms_rad = np.array(parameters.rms_arcsec) * ARCSEC_RAD
+    # Fixed amplitudes and random phases for sequences and tables, Gaussian amplitudes for frames; see the module's
+    # docstring.
     if over_sequence or spectrum.name == "table":
         frequency, weight = _lines_in_all_octaves(spectrum, rng)
         amplitude, phase = rms_rad * np.sqrt(2.0 * weight), math.tau * rng.random(frequency.shape)
@@ -260,18 +269,19 @@ def camera_axes(parameters: Jitter, body_to_camera: ArrayLike | None) -> FloatAr
 
 
 def _stratified(count: int, rng: np.random.Generator) -> FloatArray:
-    """Numbers (count, 3) between 0 and 1, one in each of `count` equal parts about each axis."""
+    """Stratified uniform deviates (count, 3): one in each of `count` equal parts of [0, 1) for each axis."""
     return np.asarray((np.arange(count)[:, None] + rng.uniform(size=(count, 3))) / count)
 
 
 def _lines_in_all_octaves(spectrum: Spectrum, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Frequencies (M, 3), Hz, and their shares of the variance (M, 3)."""
+    """Frequencies (M, 3), Hz, and their fractions of the variance (M, 3); see the module's docstring."""
     half = SEQUENCE_COMPONENTS // 2
     by_variance = spectrum.quantile(_stratified(half, rng))
     span = _DECADES * math.log(10.0)
     by_octave = spectrum.max_hz * np.exp(span * (_stratified(half, rng) - 1.0))
     frequency = np.concatenate([by_variance, by_octave])
     density = spectrum.per_hz(frequency)
+    # Both halves are samples of the same integral, so a frequency is weighted by the sum of both densities there.
     with np.errstate(divide="ignore"):
         logarithmic = np.where(frequency >= spectrum.max_hz * 10.0**-_DECADES, 1.0 / (frequency * span), 0.0)
     total = half * (density + logarithmic)

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class JitterSeries:
-    """Angles over time, with a cubic spline between them.
+    """Angles over time, interpolated by a cubic spline.
 
-    The spline is good to some 1e-3 of a sinusoid that is sampled eight times a period."""
+    The error of the spline is some 1e-3 of the amplitude of a sinusoid with eight samples per period."""
 
     t_s: FloatArray
     """(N,): Ascending, seconds after the scenario's epoch."""
@@ -33,13 +33,13 @@ class JitterSeries:
     @cached_property
     def spline(self) -> CubicSpline:
         """The angles as a function of time."""
-        from scipy.interpolate import CubicSpline  # 0.3 s, which runs without a series need not take
+        from scipy.interpolate import CubicSpline  # takes 0.3 s to import, so only runs with a series do
 
         return CubicSpline(self.t_s, self.angles_rad)
 
     @cached_property
     def max_hz(self) -> float:
-        """Highest frequency that the samples can hold: half of the sampling rate."""
+        """Nyquist frequency of the samples: half of the sampling rate."""
         return 0.5 / float(np.median(np.diff(self.t_s)))
 
     @cached_property
@@ -50,7 +50,7 @@ class JitterSeries:
     def section(
         self, parameters: Jitter, rng: np.random.Generator, exposure_s: float, body_to_camera: ArrayLike
     ) -> SampledJitter:
-        """A random section for one exposure; `InputError` if the series is shorter than it."""
+        """A random section for one exposure; `InputError` if the series is shorter than the exposure."""
         first, last = self.t_s[0] + 0.5 * exposure_s, self.t_s[-1] - 0.5 * exposure_s
         if last < first:
             length_s = self.t_s[-1] - self.t_s[0]
@@ -64,15 +64,16 @@ class JitterSeries:
 
 @dataclass(frozen=True, eq=False)
 class SampledJitter:
-    """A series relative to a mid-exposure, as `JitterPath`."""
+    """A time series relative to a mid-exposure, with the methods of `JitterPath`."""
 
     series: JitterSeries
+    """The series."""
     origin_s: float
     """Time of mid-exposure on the scale of the series."""
     matrix: FloatArray
-    """(3, 3): From its axes to camera axes."""
+    """(3, 3): From the axes of the series to camera axes."""
     offset_rad: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,): Subtracted, camera axes."""
+    """(3,): Rotation vector subtracted from that of the series, camera axes."""
 
     @property
     def max_hz(self) -> float:
@@ -95,11 +96,12 @@ class SampledJitter:
         """Mean rotation vector (3,) over an exposure about t = 0, exact."""
         ends = self.origin_s + np.array([-0.5, 0.5]) * exposure_s
         self._refuse_outside(ends)
+        # The spline is integrated exactly, while samples within the exposure may be few.
         total = self.series.spline.integrate(float(ends[0]), float(ends[1]))
         return np.asarray(self.matrix @ total / exposure_s - self.offset_rad)
 
     def centred(self, exposure_s: float) -> SampledJitter:
-        """The same motion about its own mean over the exposure."""
+        """The same motion minus its mean over the exposure."""
         return replace(self, offset_rad=self.offset_rad + self.mean(exposure_s))
 
     def rate(self, exposure_s: float) -> FloatArray:

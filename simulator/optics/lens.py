@@ -1,4 +1,4 @@
-"""Lens and detector, as far as they determine the image of a star."""
+"""Parameters of lens and detector that determine the image of a star."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ _PHASES = 7
 _LEAST_HALF_PX, _LARGEST_HALF_PX, _WIDTHS = 2, 8, 2.5
 """Half width of the fitted window, pixels and standard deviations of the Gaussian, as in `startracker.centroid`."""
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
+# Numbers of fitted parameters: the position only, or position and ellipse.
 _POSITION, _ALL = 2, 5
 _STEP = 1e-4
 _LONGEST_STEP_PX = 0.2
@@ -35,10 +36,10 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     A camera is calibrated with many stars at random sub-pixel positions, so that the shift of its centroids from the
     geometric one, averaged over the pixel, is part of its distortion and alignment. The pixel-integrated image at
     `_PHASES`² sub-pixel positions is fitted with a pixel-integrated elliptical Gaussian, and again with the median
-    ellipse, as the stars of a frame are. The position is the mean of these fits. The window is that about the
-    position: it begins at the peak, which of a defocused image lies anywhere on a ring, and follows the fits. Weights
-    are 1/(1 + q p/m) with the model p, its maximum m and q = `CONTRAST`. Positions of much brighter and fainter stars
-    differ: for coma by up to a third of the distance to the geometric centroid.
+    ellipse fixed, as is done for the stars of a frame. The result is the mean of these positions. The fitted window
+    starts at the peak, which may be anywhere on the ring of a defocused image, and is moved to the fitted position
+    until it no longer changes. Weights are 1/(1 + q p/m) with the model p, its maximum m and q = `CONTRAST`. For much
+    brighter and fainter stars the result differs, for coma by up to a third of the distance to the geometric centroid.
 
     Parameters
     ----------
@@ -49,11 +50,13 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     half_px : int
         Half width of the region around the geometric centroid that is used.
     """
+    # The image on a grid of `_PHASES` points per pixel serves all sub-pixel positions: each is a sub-grid of it.
     count = half_px * _PHASES
     at: FloatArray = np.arange(-count, count + 1, dtype=np.float64) / _PHASES
     light = images.shares(spectrum, *images.matrices(at))
     along_x, along_y = light.sum(axis=0) / light.sum(), light.sum(axis=1) / light.sum()
     peak_y, peak_x = np.unravel_index(int(np.argmax(light)), light.shape)
+    # First variances, from the second moments about the peak, with distances limited to 3 px because of the wings.
     xx = max(float(along_x @ np.minimum((at - at[peak_x]) ** 2, 9.0)) - _PIXEL_PX2, _NARROW_PX2)
     yy = max(float(along_y @ np.minimum((at - at[peak_y]) ** 2, 9.0)) - _PIXEL_PX2, _NARROW_PX2)
     half = _half_width(xx, yy, 0.0, half_px)
@@ -62,6 +65,7 @@ def measured_centroid(images: Images, spectrum: FloatArray, half_px: int) -> tup
     for _ in range(_MOST_WINDOWS):
         pixels, stamps = _stamps(light, at, column, row, half)
         fits = _fit(pixels, stamps, fits, _ALL)
+        # The ellipse is common to all sub-pixel positions, as it is to the stars of a frame.
         fits[:, 2:] = np.median(fits[:, 2:], axis=0)
         fits = _fit(pixels, stamps, fits, _POSITION)
         x, y = fits[:, :2].mean(axis=0)
@@ -107,18 +111,20 @@ def _fit(pixels: FloatArray, stamps: FloatArray, start: FloatArray, free: int) -
             moved = np.zeros(5)
             moved[k] = _STEP
             slopes[k + 1] = (_gaussian(pixels, fits + moved) - _gaussian(pixels, fits - moved)) / (2.0 * _STEP)
+        # The flux is linear, so its best value for the current shape needs no iteration.
         flux = (shape * data).sum(axis=1) / (shape**2).sum(axis=1)
         model = flux[:, None] * shape
         weight = 1.0 / (1.0 + CONTRAST * model / model.max(axis=1, keepdims=True))
         slopes[1:] *= flux[:, None]
         normal = np.einsum("apn,pn,bpn->pab", slopes, weight, slopes)
         right = np.einsum("apn,pn,pn->pa", slopes, weight, data - model)
+        # A little damping keeps the matrix regular, and the step is limited because the model is far from linear.
         normal[:, range(free + 1), range(free + 1)] *= 1.0 + 1e-9
         step = np.linalg.solve(normal, right[:, :, None])[:, 1:, 0]
         step *= np.minimum(1.0, _LONGEST_STEP_PX / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-12))
         fits[:, :free] += step
         fits[:, 2:4] = np.maximum(fits[:, 2:4], _LEAST_VARIANCE_PX2)
-        bound = 0.9 * np.sqrt(fits[:, 2] * fits[:, 3])
+        bound = 0.9 * np.sqrt(fits[:, 2] * fits[:, 3])  # the covariance matrix must remain positive definite
         fits[:, 4] = np.clip(fits[:, 4], -bound, bound)
         if np.abs(step).max() < _TOLERANCE_PX:
             break
@@ -130,6 +136,7 @@ def _gaussian(pixels: FloatArray, fits: FloatArray) -> FloatArray:
     x, y, xx, yy, xy = fits.T[:, :, None, None]
     rows = (pixels[:, 1, :, None] + 0.5 * _NODES).reshape(len(fits), -1)[:, :, None] - y
     density = np.exp(-0.5 * rows**2 / yy) / np.sqrt(2.0 * math.pi * yy)
+    # For a given y, the Gaussian along x has the conditional mean x + (xy/yy) y and the variance xx − xy²/yy.
     columns = pixels[:, 0, None, :] - x - xy / yy * rows
     narrow = np.sqrt(2.0 * (xx - xy**2 / yy))
     shares = 0.5 * density * (erf((columns + 0.5) / narrow) - erf((columns - 0.5) / narrow))

@@ -4,8 +4,8 @@ The response to light at (u, v) pixels from the pixel's centre is r(u) r(v) with
 
     r(u) = 1 + c cos 2πu,   |u| ≤ ½,
 
-that is 1 + c in the middle of a pixel and 1 − c at its edges; its mean is 1, so that the quantum efficiency remains
-that of the whole pixel. An image integrated over pixels is its convolution with r(u) r(v), whose transfer function on
+that is 1 + c in the middle of a pixel and 1 − c at its edges; its mean is 1, so that the quantum efficiency of the
+whole pixel is unchanged. An image integrated over pixels is its convolution with r(u) r(v), whose transfer function on
 one axis is
 
     R(f) = sinc f + ½ c (sinc(f − 1) + sinc(f + 1)),   sinc f = sin πf / (πf).
@@ -29,7 +29,8 @@ from startracker.display import changed_fields
 
 _NODES, _WEIGHTS = leggauss(24)
 _WIDE_STEP = 0.5
-"""Widest panel of the quadrature over a pixel, standard deviations of the Gaussian; 24 nodes are exact to 1e-15."""
+"""Widest panel of the quadrature over a pixel, in standard deviations of the Gaussian, for which 24 nodes are exact to
+1e-15."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ def transfer(frequency: FloatArray, contrast: float) -> FloatArray:
 
 def gaussian_shares(offsets_px: FloatArray, sigma_px: float, contrast: float) -> FloatArray:
     """Response (N,) of pixels whose centres are at offsets (N,) from a Gaussian line of unit light."""
+    # Gauss–Legendre quadrature over the pixel, divided into panels that are narrow compared with the Gaussian.
     panels = max(1, math.ceil(1.0 / (_WIDE_STEP * sigma_px)))
     middles = (np.arange(panels) + 0.5) / panels - 0.5
     u = (middles[:, None] + 0.5 * _NODES / panels).ravel()

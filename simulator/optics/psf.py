@@ -1,4 +1,4 @@
-"""Point-spread functions integrated over pixels, as tables, so that rendering does not evaluate the optics."""
+"""Point-spread functions integrated over pixels, tabulated so that rendering does not evaluate the optics."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from startracker.settings.registry import lookup
 SIGMA_PER_RING = 1.34985 / 3.831705970207512
 """σ of the Gaussian that fits the core of an Airy pattern, over the radius of its first dark ring: the minimax fit of
 Greyling 1995, § 4.1. His 1.34985 is in units of the argument of [2J₁(v)/v]², whose first dark ring is at v = 3.8317:
-σ = 0.3523 r_ring = 0.4297 λN. (Taken as pixels, as in § 4.3.3 there, it would be for a ring at 3.83 px, not 2.)"""
+σ = 0.3523 r_ring = 0.4297 λN. (His § 4.3.3 uses it as a number of pixels, which is the ring at 3.83 px, not at 2.)"""
 
 WING_LIMIT_E = 0.02
 """A star is rendered outwards until a pixel gets fewer electrons than this."""
 
 FLUX_LOSS = 1e-6
-"""A Gaussian star is rendered at least to the radius beyond which this fraction of its light remains."""
+"""A Gaussian star is rendered at least to the radius outside which this fraction of its light remains."""
 
 MIN_LAMBDA_N_PX = 1.0 / 12.0
 """A sharper Airy pattern is rendered with this value, to limit the size of tables. Diffraction scatters 0.36 λN of the
@@ -64,12 +64,12 @@ class Psf:
     """Image of a point source, integrated over pixels; normalised to 1 over the whole plane."""
 
     model: str
-    """Its name."""
+    """Name of the model."""
     sigma_px: float
     sigma_y_px: float
     """Standard deviation along columns and rows of the Gaussian, or of the one that fits the core of another model."""
     feature_px: float
-    """Finest structure, which determines the sampling of smeared paths, pixels."""
+    """Size of the finest structure, pixels, which determines the sampling of smeared paths."""
     core: NDArray[np.float64] | NDArray[np.float32] | None = None
     """(P, P, M, M), or None for an exact Gaussian. Fraction of the light in pixel (row j, column i) of the stamp,
     [b, a, j, i], for a star a phases to the right of and b phases below the centre; see `phases`."""
@@ -120,7 +120,7 @@ class Psf:
         if self.core is None or self.wing is None:
             limit_e = 2.0 * math.pi * self.sigma_px * self.sigma_y_px * WING_LIMIT_E
             return np.asarray(_gaussian_radius_px(e, limit_e, self.sigma_px))
-        e = np.maximum(e, 1e-9)
+        e = np.maximum(e, 1e-9)  # a star without electrons gets the smallest radius
         wanted = _reach(self._envelope, np.minimum(WING_LIMIT_E / e, LEAST_SHARE * self.peak), self.wing_step_px)
         half = self.core_half_px
         winged = np.clip(wanted, least_radius(half, self.aspect), WING_RADIUS_PX - TAPER_PX - 1.0)
@@ -218,7 +218,7 @@ def _tabulated_gaussian(sigma: float, aspect: float, contrast: float) -> Psf:
     """A Gaussian on pixels with a response, as a table: exact at its phases, 1e-6 of the peak between them."""
     finest, widest = sigma * min(1.0, aspect), sigma * max(1.0, aspect)
     half = min(math.ceil(_LEAST_SIGMAS * widest) + 1, MAX_HALF_PX)
-    phases = min(2 * math.ceil(_PHASES_PER_SIGMA / finest), _MOST_PHASES)
+    phases = min(2 * math.ceil(_PHASES_PER_SIGMA / finest), _MOST_PHASES)  # even, so that ±½ px are phases
     at = offsets(half, phases) / phases
     fine = np.outer(gaussian_shares(at, sigma * aspect, contrast), gaussian_shares(at, sigma, contrast))
     r = np.arange(0.0, WING_RADIUS_PX, _WING_STEP_PX)
@@ -298,7 +298,8 @@ def aberrated(
     aspect, hole = lens.aspect, lens.obscuration
     true_px = wavelengths_nm * 1e-3 * lens.f_number / lens.pitch_um[0]
     lambda_n = np.maximum(true_px, least_lambda_n_px(aspect))
-    # the same path at all wavelengths; the geometric image keeps its size if λN is increased
+    # The optical path is the same at all wavelengths. If λN is increased to its minimum, the waves are reduced, so that
+    # the geometric image keeps its size.
     waves = np.outer(psf_model.wavelength_nm / wavelengths_nm * true_px / lambda_n, coefficients)
     finest, widest = float(lambda_n.min()) * min(1.0, aspect), float(lambda_n.max()) * max(1.0, aspect)
     spread = (diffraction.spread_px(waves, lambda_n, hole) + 3.0 * lens.diffusion_px) * max(1.0, aspect)
@@ -335,9 +336,9 @@ def _sized(
     wings: FloatArray,
     aspect: float,
 ) -> tuple[diffraction.Images, tuple[float, float], int]:
-    """Images, their measured centroid, and the half side of the stamp that holds them about it, pixels.
+    """Images, their measured centroid, and half the side of the stamp about it, pixels.
 
-    In the second iteration the stamp has the size required by peak and centroid of the first.
+    The second iteration uses the size that peak and centroid of the first one require.
     """
     half, room = math.ceil(extent_px), 1
     for _ in range(2):

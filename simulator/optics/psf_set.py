@@ -38,7 +38,9 @@ NODES, FEW_NODES = 9, 7
 
 _FINE_NM = np.arange(200.0, 2600.0, 10.0)
 _TAIL = 5e-4
+"""Fraction of the electrons outside the wavelength nodes, on each side."""
 _TAPS = 4
+"""Points of the Lagrange interpolation between wavelengths."""
 
 
 class PsfSet:
@@ -86,7 +88,9 @@ class PsfSet:
             self._psfs = {}
             self._made: dict[tuple[float, ...], list[Psf]] = {}
             corner = self._zone(self._zone_count - 1)[-1]
-        ends = list(dict.fromkeys([*self._zone(0), corner]))  # a single image once
+        # The extremes of all images: those on axis, which are sharpest, and the reddest in a corner. Images of other
+        # zones are computed only if a star needs them. dict.fromkeys removes duplicates in order.
+        ends = list(dict.fromkeys([*self._zone(0), corner]))
         self._widest = ends
         self.feature_px = min(psf.feature_px for psf in ends)
         """Finest structure of all images, for the sampling of smeared paths."""
@@ -98,7 +102,7 @@ class PsfSet:
         return functools.reduce(np.maximum, [psf.radius_px(electrons) for psf in self._widest])
 
     def psf(self, b_v: float = DEFAULT_B_V, xy: tuple[float, float] | None = None) -> Psf:
-        """The image of a star of a colour at a position (the centre of the image if left out)."""
+        """PSF of a star of a colour at a position, by default the centre of the image."""
         position = np.array([[(self._size_px[0] - 1) / 2, (self._size_px[1] - 1) / 2] if xy is None else xy])
         return self.groups(np.array([b_v]), position)[0][1]
 
@@ -110,7 +114,7 @@ class PsfSet:
         b_v : (N,) array
             Colours B−V; NaN where unknown.
         xy : (N, 2) array
-            Positions at mid-exposure, pixels; those outside the image are moved to its edge, NaN to its centre.
+            Positions at mid-exposure, pixels. Stars outside the image have the zone at its edge, NaN the central one.
 
         Returns
         -------
@@ -123,6 +127,7 @@ class PsfSet:
         colour = np.asarray(b_v, dtype=float)
         colour = np.where(np.isnan(colour), DEFAULT_B_V, colour)
         nearest = np.abs(colour[:, None] - self._colours).argmin(axis=1)
+        # One integer identifies zone and colour. After a stable sort the members of each are contiguous and in order.
         key = self.zones(xy) * len(self._colours) + nearest
         order = np.argsort(key, kind="stable")
         values, starts = np.unique(key[order], return_index=True)
@@ -132,7 +137,7 @@ class PsfSet:
         ]
 
     def blends(self, wavelength_nm: ArrayLike, xy: ArrayLike) -> list[tuple[IntArray, FloatArray, Psf]]:
-        """Stars by image with the fraction of each star's light; a star may use two images.
+        """Stars grouped by PSF, with the fraction of each star's light; a star may be a mixture of two PSFs.
 
         Parameters
         ----------
@@ -151,6 +156,8 @@ class PsfSet:
         if not (self._model.polychromatic or self._varies):
             return [(np.arange(len(xy)), np.ones(len(xy)), self._psfs[0][0])]
         zone, stars = self.zones(xy) * count, np.arange(len(xy))
+        # A star between two tabulated mean wavelengths is a mixture of both images, with the share that gives its own
+        # mean wavelength.
         at = np.interp(np.asarray(wavelength_nm, dtype=float), self._means_nm, np.arange(count))
         low = np.minimum(at.astype(np.int64), max(count - 2, 0))
         part = at - low
@@ -170,7 +177,8 @@ class PsfSet:
             return np.zeros(len(xy), dtype=np.int64)
         field = self._model.field
         h, azimuth = self._polar(np.asarray(xy, dtype=float))
-        # the central zone has the radius of half a ring; then rings of equal width, the last one at the corners
+        # The central zone has the radius of half a ring. The other rings have equal width, the last one is centred on
+        # the corners.
         ring = np.minimum(np.floor(np.minimum(h, 1.0) * field.rings + 0.5).astype(np.int64), field.rings)
         sector = np.floor(azimuth / math.tau * field.azimuths + 0.5).astype(np.int64) % field.azimuths
         return np.where(ring == 0, 0, 1 + (ring - 1) * field.azimuths + sector)
@@ -222,7 +230,7 @@ class PsfSet:
 
 
 def _key(coefficients: FloatArray) -> tuple[float, ...]:
-    return tuple((np.round(coefficients, 9) + 0.0).tolist())  # + 0.0: no −0.0
+    return tuple((np.round(coefficients, 9) + 0.0).tolist())  # adding 0 turns −0.0 into 0.0, for equal keys
 
 
 def _mirrored(psf: Psf, swap: bool, sign_x: int, sign_y: int) -> Psf:
@@ -257,8 +265,8 @@ def _spectra(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """B−V (C,) and mean wavelengths (C,), ascending, of spectra; wavelengths (K,) of their images and weights (C, K).
 
-    The image is a smooth function of the wavelength λ and is interpolated by a cubic between nodes: the electrons at λ
-    contribute to four nodes with Lagrange weights (some of them negative), and the sum over a spectrum is accurate to
+    The image is a smooth function of the wavelength λ and is interpolated by a cubic between nodes. The electrons at λ
+    contribute to four nodes with Lagrange weights, some of them negative, and the sum over a spectrum is accurate to
     1e-3 of the peak with seven nodes. The nodes cover all but 0.05 % of the electrons on each side.
     """
     if not psf_model.polychromatic:
@@ -274,6 +282,7 @@ def _spectra(
     middles = (_FINE_NM[1:] + _FINE_NM[:-1]) / 2.0
     means = shares @ middles
     order = np.argsort(means, kind="stable")
+    # Nodes at equal ratios of wavelength, because an image scales with the wavelength.
     level = np.cumsum(shares.mean(axis=0))
     low, high = (float(middles[np.searchsorted(level, part)]) for part in (_TAIL, 1.0 - _TAIL))
     nodes = np.geomspace(low, max(high, low * 1.01), FEW_NODES if varies else NODES)

@@ -1,4 +1,7 @@
-"""Tables of a PSF from the intensity in the image plane: pixel integrals at many phases, with conserved flux."""
+"""Tables of a PSF from the intensity in the image plane: pixel integrals at many phases, with conserved flux.
+
+A phase is the position of a star within a pixel, in steps of 1/`phases` of a pixel.
+"""
 
 from __future__ import annotations
 
@@ -22,13 +25,14 @@ STRIDES = (6, 4, 3, 2)
 """Possible factors by which the number of phases is reduced."""
 
 _KNOTS = 11
+"""Points of the quadrature over the phases in `join`."""
 
 _SAMPLES_PER_LAMBDA_N = 2.4
 """Samples of the intensity per λN; two are sufficient for the pattern, and the rest is for the interpolation filter."""
 
 
 def sample_grid(half_px: float, lambda_n_px: float) -> FloatArray:
-    """Positions (pixels) at which a pattern band-limited to 1/λN must be known for a stamp."""
+    """Positions (pixels) at which a pattern band-limited to 1/λN must be sampled for a stamp."""
     step = lambda_n_px / _SAMPLES_PER_LAMBDA_N
     count = math.ceil((half_px + 2.0 + 8.0 * lambda_n_px) / step)
     return np.asarray(np.arange(-count, count + 1) * step, dtype=float)
@@ -45,9 +49,9 @@ def pixel_matrix(
     """Matrix (positions, samples) that integrates a sampled pattern over pixels along one axis.
 
     K(x) = h ∫ s sinc(sf) exp(−2π²σ²f²) w(f) exp(2πifx) df: band-limited interpolation of samples with spacing h,
-    convolved with a pixel (of size s, or with a response of some contrast, `simulator.optics.pixel_response`) and a
-    Gaussian of charge diffusion. w is 1 in the band of the pattern, to 1/λN,
-    and falls to 0 before that of its aliases, at 1/h − 1/λN.
+    convolved with a pixel of size s (with the response of `simulator.optics.pixel_response` if it has a contrast) and
+    with the Gaussian of charge diffusion. The window w is 1 in the band of the pattern, up to 1/λN, and falls to 0
+    before the band of its aliases, at 1/h − 1/λN.
     """
     step = samples_px[1] - samples_px[0]
     passed, stopped = 1.0 / lambda_n_px, 1.0 / step - 1.0 / lambda_n_px
@@ -65,7 +69,8 @@ def pixel_matrix(
         * window
         * step
     )
-    # cos(a − b) is a sum of products, so that no table of all differences is needed
+    # cos(a − b) = cos a cos b + sin a sin b: the kernel is a product of matrices, and no table of all differences is
+    # needed.
     a, b = 2.0 * np.pi * np.outer(positions_px, f), 2.0 * np.pi * np.outer(samples_px, f)
     return np.asarray((np.cos(a) * spectrum) @ np.cos(b).T + (np.sin(a) * spectrum) @ np.sin(b).T)
 
@@ -80,17 +85,17 @@ def offsets(half: int, phases: int, stride: int = 1) -> NDArray[np.int64]:
 def polyphase(fine: FloatArray, half: int, phases: int, stride: int = 1) -> FloatArray:
     """Core table [b, a, j, i] from pixel integrals `fine` (rows, columns) at `offsets`."""
     margin = phases // stride // 2 + TAPS // 2
-    # for a star shifted by a phases, pixel i has the offset i·phases − a
+    # For a star shifted by a phases, pixel i has the offset i·phases − a.
     index = np.arange(-half, half + 1)[None, :] * phases - np.arange(-margin, margin + 1)[:, None] * stride
     where = index + half * phases + margin * stride
     return np.ascontiguousarray(fine[where[:, None, :, None], where[None, :, None, :]])
 
 
 def coarsest(fine: FloatArray, phases: int, tolerance: float) -> int:
-    """Factor by which the number of phases of a table can be reduced (`STRIDES`); must divide half of the phases.
+    """Largest factor of `STRIDES` by which the number of phases can be reduced; it divides half of the phases.
 
     The error of four-point Lagrange interpolation at steps h is at most 3/128 h⁴ |f⁗| on each axis, where h⁴ f⁗ is
-    given by fourth differences. The error stays below `tolerance` × the peak.
+    estimated by fourth differences. The error stays below `tolerance` × the peak.
     """
     fourth = max(float(np.abs(np.diff(fine, 4, axis=axis)).max()) for axis in (0, 1))
     allowed = tolerance * float(fine.max())
@@ -109,9 +114,9 @@ def join(
 ) -> tuple[FloatArray, FloatArray]:
     """Normalise stamps to the same light at every phase, and determine the total light of stamp and wings.
 
-    The core is scaled (by about 1e-5) to the same sum at all phases, and then has that sum between phases as well,
-    since the interpolation weights sum to 1. The sum of the wings over pixels depends on the phase by about 1e-5; the
-    kernel renders them first and scales the stamp to the light returned here.
+    The core is scaled (by about 1e-5) to the same sum at all phases, and has that sum between phases as well, since the
+    interpolation weights sum to 1. The sum of the wings over pixels varies with the phase by about 1e-5; the rendering
+    kernel adds the wings first and scales the stamp to the total returned here.
 
     Parameters
     ----------
@@ -147,17 +152,20 @@ def join(
     knots, weights = pupil.legendre(_KNOTS)
 
     def beyond(light: FloatArray) -> float:
-        """Sum outside the stamp, averaged over phases; smooth, so that a few phases give it to 1e-9."""
+        """Sum outside the stamp, averaged over phases; it is so smooth that a few phases give it to 1e-9."""
         sums = outside(knots / 2.0, half, light, 1.0 / step_px, 1.0 / aspect, radius)
         return float(weights @ sums @ weights) / 4.0
 
     if total is not None:
+        # The stamp, the wings near it (summed over pixels) and the far wings (integrated over rings) must add up to the
+        # total; α scales the wings accordingly, mostly near the stamp.
         far = 1.0 - fade(r, radius)
         bent = wing / np.maximum(r, half / 2.0) ** 2
         plain, extra = (beyond(light) + float(np.trapezoid(far * light * area, r)) for light in (wing, bent))
         alpha = (total - held - plain) / extra
         wing = wing + max(alpha, -0.5 * (half / 2.0) ** 2) * bent
-    # to a radius R with its taper: mean of the light inside, weighted by the slope of `fade`
+    # Light to a radius R with its taper: integration by parts turns it into the mean of the light inside, weighted by
+    # the slope of `fade`.
     inside = np.concatenate([[0.0], np.cumsum((wing[1:] * area[1:] + wing[:-1] * area[:-1]) * step_px / 2.0)])
     nodes, slopes = pupil.legendre(8)
     t = (nodes + 1.0) / 2.0
@@ -171,7 +179,8 @@ def _even_sums(core: FloatArray, phases: int, even: bool) -> float:
     middle = core.shape[0] // 2
     sums = core.sum(axis=(2, 3))
     period = slice(middle - phases // 2, middle + phases // 2 + 1)
-    mean = np.full(phases + 1, 1.0 / phases)  # both ends have half weight, so that mirrored tables are identical
+    # Mean over one pixel; both ends, which are the same phase, have half weight, so that mirrored tables are identical.
+    mean = np.full(phases + 1, 1.0 / phases)
     mean[[0, -1]] /= 2.0
     held = float(mean @ sums[period, period] @ mean)
     if even:
@@ -180,7 +189,7 @@ def _even_sums(core: FloatArray, phases: int, even: bool) -> float:
 
 
 def least_radius(half: int, aspect: float) -> float:
-    """Minimum radius (pixels along columns) of a star with wings, which includes the stamp."""
+    """Minimum radius (pixels along columns) of a star with wings: that of the circle about the stamp."""
     return math.hypot(half + 1.0, (half + 1.0) / aspect)
 
 
@@ -204,6 +213,7 @@ def outside(
     sums = np.empty((len(at_px), len(at_px)))
     for b, y in enumerate(at_px):
         for a, x in enumerate(at_px):
+            # Distances in pixels along columns, also if pixels are not square; the table is interpolated linearly.
             r = np.hypot((columns - x), ((rows - y) * row_px)[:, None])[beyond]
             position = r * wing_per_px
             m = np.minimum(position.astype(np.int64), len(wing) - 2)

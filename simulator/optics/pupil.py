@@ -20,10 +20,10 @@ TERMS = 11
 
 @functools.lru_cache(maxsize=256)
 def legendre(count: int) -> tuple[FloatArray, FloatArray]:
-    """Points and weights of Gauss–Legendre quadrature on −1 … 1; cached, as computing a few hundred takes as long as an
-    image.
+    """Points and weights of Gauss–Legendre quadrature on −1 … 1; cached, because computing a few hundred of them takes
+    as long as an image.
 
-    SciPy's are eigenvalues of a tridiagonal matrix; NumPy's, of the same matrix as a full one, take 50 times as long.
+    SciPy finds them as eigenvalues of a tridiagonal matrix; NumPy treats it as a full one and takes 50 times as long.
     """
     nodes, weights = roots_legendre(count)
     nodes.flags.writeable = weights.flags.writeable = False
@@ -69,8 +69,8 @@ def intensity(
     obscuration : float
         Central obscuration, fraction of the diameter.
     centred : bool
-        Put the geometric centroid of the image at 0; Zernike coma displaces the centroid by 4√2 λN per wave rms. False:
-        no shift.
+        Shift the geometric centroid of the image to 0. Without the shift, Zernike coma displaces the centroid by 4√2 λN
+        per wave rms.
 
     Returns
     -------
@@ -81,13 +81,14 @@ def intensity(
     furthest = max(float(np.abs(x).max()), float(np.abs(y).max()), 1.0)
     reach = furthest + geometric_radius(coefficients) + 2.0 * float(np.abs(shift).max())
     field = _field(coefficients, shift, x, y, 1.0, reach)
-    if obscuration > 0.0:
+    if obscuration > 0.0:  # the amplitude of an annulus is that of the full disk minus that of the obscuration
         field -= _field(coefficients, shift, x, y, obscuration, reach)
     return np.asarray((field.real**2 + field.imag**2) / (4.0 * math.pi * (1.0 - obscuration**2)))
 
 
 def mean_slope(coefficients: FloatArray, obscuration: float = 0.0) -> FloatArray:
     """Mean of ∂W/∂ρ over the pupil (waves), (Q, 2): half the position of the centroid in λN."""
+    # Mean over an annulus: that of the disk minus that of the hole, weighted by their areas.
     low, high = _mean_slope(coefficients, obscuration), _mean_slope(coefficients, 1.0)
     if obscuration == 0.0:
         return high
@@ -95,7 +96,7 @@ def mean_slope(coefficients: FloatArray, obscuration: float = 0.0) -> FloatArray
 
 
 def geometric_radius(coefficients: FloatArray) -> float:
-    """Radius of the geometric image about its position by the polynomials, λN: the largest 2 |∂W/∂ρ|."""
+    """Radius of the geometric image about the position of an ideal image, in λN: the largest 2 |∂W/∂ρ|."""
     y, x, _ = disk_nodes(24)
     slopes = _slopes(np.atleast_2d(coefficients), x.ravel(), np.repeat(y, 24))
     return float(2.0 * np.hypot(*slopes).max(initial=0.0))
@@ -123,24 +124,26 @@ def _field(
 ) -> ComplexArray:
     """Amplitude (Q, Y, X) of a disk of the pupil.
 
-    The four pupil points ±x on the chords ±y have the same cosines and sines; so have ±x in the image.
+    The four pupil points ±x on the chords ±y have the same cosines and sines, as have the points ±x of the image; each
+    is computed once.
     """
-    half = math.ceil(math.pi * reach * radius / 4.0) + 12  # quadrature needs half the phase range, with a margin
+    half = math.ceil(math.pi * reach * radius / 4.0) + 12  # points for half of the phase range, and a margin
     count = 2 * half
     node_y, node_x, weight = disk_nodes(count, radius)
     flat_y = np.repeat(node_y, count)
     waves = wavefront(coefficients, node_x.ravel(), flat_y) - shift @ np.stack([node_x.ravel(), flat_y])
     pupil = (weight.ravel() * np.exp(2j * math.pi * waves)).reshape(-1, count, count)
+    # The parts of the pupil that are even and odd in x go with cosines and sines.
     right, left = pupil[..., half:], pupil[..., half - 1 :: -1]
     even, odd = _pairs(right + left), _pairs(right - left)
     mirrored = len(x) > 1 and np.array_equal(x, -x[::-1])
     some_x = x[len(x) // 2 :] if mirrored else x
     cosines = np.empty((half, even.shape[1], len(some_x)))
     sines = np.empty_like(cosines)
-    for chord in range(half):  # one at a time: the tables of all would take hundreds of MB
+    for chord in range(half):  # one chord at a time, because the tables of all would take hundreds of MB
         table = _phasors(node_x[chord, half:], some_x)
         np.matmul(even[chord], table.real, out=cosines[chord])
-        np.matmul(odd[chord], table.imag, out=sines[chord])  # of −πx·ρ
+        np.matmul(odd[chord], table.imag, out=sines[chord])  # the phase is −πx·ρ, hence the sign below
     symmetric, antisymmetric = _unpaired(cosines), _unpaired(sines)
     chords = symmetric + 1j * antisymmetric  # (Q, chord, X)
     if mirrored:
@@ -158,14 +161,16 @@ def _pairs(light: ComplexArray) -> FloatArray:
 
 
 def _unpaired(parts: FloatArray) -> ComplexArray:
-    """(chord of y > 0, 4Q, X) → (Q, chord, X)."""
+    """The inverse of `_pairs` for results: (chord of y > 0, 4Q, X) → (Q, chord, X), complex."""
     real, imaginary = np.split(parts.transpose(1, 0, 2), 2)
     above, below = np.split(real + 1j * imaginary, 2)
     return np.concatenate([above, below[:, ::-1]], axis=1)
 
 
 def _phasors(nodes: FloatArray, x: FloatArray) -> ComplexArray:
-    """exp(−iπ nodes x), (..., X); on a uniform grid a product of two short tables, ten times as fast."""
+    """exp(−iπ nodes x), (..., X)."""
+    # On a uniform grid, exp(i(a + b)) = exp(ia) exp(ib) gives the table as a product of two short ones, which is ten
+    # times as fast as the exponentials.
     block = 16
     steps = np.diff(x)
     if len(x) <= 2 * block or float(np.ptp(steps)) > 1e-12 * float(np.abs(x).max()):

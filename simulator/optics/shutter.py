@@ -8,8 +8,8 @@ the moments u = t − t_y(t) of the window of its own row, −T/2 ≤ u ≤ T/2,
 
 A star that moves with the shutter is exposed for longer, T / |1 − ẏ · line_time|.
 
-Frame transfer without a mechanical shutter: every line of charge is moved through the image, one line a `line_time`,
-and gathers light in each row it stands in. With flux F(r) electrons per second
+Frame transfer without a mechanical shutter: every line of charge is moved through the image, one row per `line_time`,
+and collects light in each row on its way. With the flux F(r), electrons per second,
 
     after the exposure    + line_time · Σ F(rows ahead of r, through which it leaves)
     before it (clearing)  + line_time · Σ F(rows behind r, through which it came)
@@ -45,8 +45,10 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 _SETTLED_PX = 1e-9
+"""Distance from its row, pixels, at which the iteration for a moment has converged."""
 _MOST_STEPS = 30
 _LONGEST = 10.0
+"""Longest exposure of a star that moves with the shutter, relative to the nominal exposure."""
 _TABLE_PER_CYCLE = 24
 """Samples of the jitter per period of its fastest component; a cubic spline between them is accurate to 1e-5."""
 
@@ -97,6 +99,7 @@ def rolling_paths(
 
     def position(t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, K, 2) and cosines (N, K) of the angle off the axis at moments (N, K)."""
+        # The camera rotates by +ω t, so directions rotate by −ω t in its axes; each star has its own moments.
         turning = rotation_matrices(-rate * t[..., None])
         if isinstance(sources, Drift):
             vectors = np.einsum("nkij,nkj->nki", turning, sources.at(t))
@@ -113,9 +116,11 @@ def rolling_paths(
     def moments(u: FloatArray) -> FloatArray:
         return _moments_in_windows(rows, np.tile(u, (count, 1)), line_time_s)
 
+    # A star that moves with or against the shutter is exposed for a longer or shorter time than the nominal one, and
+    # the sampling of its path is chosen for the longest.
     ends = moments(np.array([-0.5, 0.5]) * exposure_s)
     exposed = np.abs(ends[:, 1] - ends[:, 0]) / exposure_s
-    held = exposed < _LONGEST  # false for NaN
+    held = exposed < _LONGEST  # also false for NaN, where the iteration did not converge
     exposed = np.where(held, exposed, 1.0)
     longest = float(exposed.max(initial=1.0))
     if isinstance(sources, Drift):
@@ -133,13 +138,14 @@ def rolling_paths(
 
 
 def _moments_in_windows(rows: Callable[[FloatArray], FloatArray], u: FloatArray, line_time_s: float) -> FloatArray:
-    """Moments (N, K) at which stars are in a row whose window is at `u` (N, K) from its middle, NaN if there are none.
+    """Moments t (N, K) with t = u + rows(t) · line_time for moments `u` (N, K) within the window of a row; NaN if there
+    are none.
 
-    The secant method, whose first step is exact for straight paths.
+    The equation is solved by the secant method, whose first step is exact for straight paths.
     """
 
     def late(t: FloatArray) -> FloatArray:
-        """By how much moments come after those of the rows the stars stand in then."""
+        """Residual of the equation, seconds."""
         return np.asarray(t - u - rows(t) * line_time_s)
 
     before, miss = u, late(u)
@@ -148,6 +154,7 @@ def _moments_in_windows(rows: Callable[[FloatArray], FloatArray], u: FloatArray,
         now = late(t)
         if not (np.abs(now) > _SETTLED_PX * line_time_s).any():
             return t
+        # A zero difference of the residuals means that a star has converged, and its step is 0.
         change = np.where(now == miss, 0.0, now * (t - before) / np.where(now == miss, 1.0, now - miss))
         before, miss, t = t, now, t - change
     return np.where(np.abs(late(t)) > _SETTLED_PX * line_time_s, np.nan, t)
@@ -205,7 +212,8 @@ def frame_transfer_smear(
 
 
 def _spline(jitter: JitterMotion, reach_s: float) -> CubicSpline:
-    """The path from −reach to +reach as a spline, which is faster than its cosines if each star has its own moments."""
+    """The path from −reach to +reach as a spline, which is faster to evaluate than its cosines if each star has its own
+    moments."""
     from scipy.interpolate import CubicSpline
 
     t = np.linspace(-reach_s, reach_s, 8 + int(np.ceil(2.0 * reach_s * jitter.max_hz * _TABLE_PER_CYCLE)))

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from simulator.optics.jitter_series import JitterMotion
 from simulator.optics.pupil import legendre
+from startracker._compiled import kernel
 from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import ImageMap, to_pixels
-from startracker.kernels import kernel
 
 DEFAULT_FEATURE_PX = 0.5
 """Default width of a star image (σ of a Gaussian) for the sampling of paths."""
@@ -22,6 +22,7 @@ DEFAULT_MARGIN_PX = 64.0
 """Paths are computed this far outside the image because of the wings of the PSF."""
 
 _MAX_PANEL = 128
+"""Largest number of nodes of a panel."""
 _UNIT = np.eye(3)
 
 
@@ -30,10 +31,10 @@ def exposure_nodes(
 ) -> tuple[FloatArray, FloatArray]:
     """Moments of an exposure and their weights, for the mean image of a moving star.
 
-    Gauss–Legendre nodes: 1.03 L/σ + 1.6 of them for a streak of L pixels and a Gaussian of σ = `feature_px` give the
-    smeared image to 1e-4 of its peak; one if the streak is shorter than σ/25. Very long streaks are divided into equal
-    panels of at most 128 nodes. Jitter needs 3.5 more for each cycle of its fastest component: π/2 for the cosine, the
-    same for its square, and a margin.
+    For a streak of L pixels and a Gaussian of σ = `feature_px`, 1.03 L/σ + 1.6 Gauss–Legendre nodes give the smeared
+    image to 1e-4 of its peak; one node is sufficient if the streak is shorter than σ/25. Very long streaks are divided
+    into equal panels of at most 128 nodes. Jitter needs 3.5 more nodes for each cycle of its fastest component: π/2 for
+    the cosine, the same for its square, and a margin.
 
     Parameters
     ----------
@@ -102,6 +103,7 @@ def star_paths(
         Fraction of the exposure of each moment; their sum is 1.
     """
     directions = np.atleast_2d(np.asarray(directions, dtype=float))
+    # The number of moments follows from the length of the longest path, including that of the jitter.
     turn = -np.asarray(rate_rad_s, dtype=float) * exposure_s
     limit_rad = path_limit_rad(camera, margin_px)
     streak_px = longest_path_px(camera, directions, turn, limit_rad)
@@ -126,6 +128,7 @@ def wander_length_px(camera: Camera, jitter: JitterMotion, exposure_s: float, li
     The sampling must be sufficient at the maximum speed: twice the rms rate gives the mean image to 1e-4 of its peak
     (compared with 20,000 steps). A pinhole stretches by 1/cos² θ at the edge.
     """
+    # Rotation about x and y displaces all stars by the angle, rotation about z in proportion to their radius.
     x, y, z = jitter.rms_rate_rad_s() * exposure_s
     edge = min(limit_rad, math.radians(75.0)) if camera.projection == "pinhole" else limit_rad
     stretch, radius = (1.0 / math.cos(edge) ** 2, math.tan(edge)) if camera.projection == "pinhole" else (1.0, edge)
@@ -133,11 +136,11 @@ def wander_length_px(camera: Camera, jitter: JitterMotion, exposure_s: float, li
 
 
 def longest_path_px(camera: Camera, directions: FloatArray, turn: FloatArray, limit_rad: float) -> float:
-    """Length of the longest path on the image, by chords."""
+    """Length of the longest path on the image, pixels: the sum of its chords."""
     angle = math.hypot(*turn.tolist())
     if angle == 0.0 or len(directions) == 0:
         return 0.0
-    # for a rotation by θ a chord is shorter than its arc by θ²/24: few are sufficient for most exposures
+    # A chord is shorter than its arc by θ²/24 of it for a rotation by θ, so a few are sufficient for most exposures.
     chords = min(math.ceil(angle / math.radians(0.1)), 8) + math.ceil(angle / math.radians(5.0))
     return _longest(_positions(directions, turning(turn, _ends(chords)), math.cos(limit_rad), camera.image_map))
 
@@ -149,8 +152,9 @@ def _ends(chords: int) -> FloatArray:
 
 
 def _longest(xy: FloatArray) -> float:
-    """Length of the longest of paths (N, K, 2); chords from or to a NaN do not count."""
+    """Length of the longest of paths (N, K, 2), without chords from or to a NaN."""
     steps = xy[:, 1:] - xy[:, :-1]
+    # np.fmax ignores NaN, unlike np.maximum.
     chords = np.hypot(steps[..., 0], steps[..., 1])
     return float(np.fmax(chords, 0.0).sum(axis=1).max(initial=0.0))
 
@@ -173,13 +177,14 @@ def _positions(directions: FloatArray, rotations: FloatArray, least_z: float, im
 
 
 def turning(turn: FloatArray, moments: FloatArray) -> FloatArray:
-    """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` (K,) × `turn`; not to be modified."""
+    """Rodrigues' matrices (K, 3, 3) of the rotation vectors `moments` (K,) × `turn` (3,); cached, so not to be
+    modified."""
     return _turning(turn.tobytes(), moments.tobytes())
 
 
 @functools.lru_cache(maxsize=4)
 def _turning(turn: bytes, moments: bytes) -> FloatArray:
-    """`turning`; cached, as a frame and the bound of its attitude need the same matrices."""
+    """`turning` of the bytes of its arguments, by which results are cached."""
     x, y, z = np.frombuffer(turn).tolist()
     angle = math.hypot(x, y, z) or 1.0
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) / angle
@@ -189,6 +194,7 @@ def _turning(turn: bytes, moments: bytes) -> FloatArray:
 
 def rotation_matrices(vectors: FloatArray) -> FloatArray:
     """Rodrigues' matrices (..., 3, 3) of rotation vectors (..., 3), accurate also for very small ones."""
+    # R = 1 + (sin θ/θ) [v×] + ((1 − cos θ)/θ²) [v×]², whose coefficients as sinc functions are finite at θ = 0.
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vectors.shape, 3)

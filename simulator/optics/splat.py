@@ -12,8 +12,8 @@ from simulator.optics.error_function import shares_of_pixels
 from simulator.optics.psf import Psf
 from simulator.optics.psf_table import TAPER_PX, TAPS
 from simulator.optics.wings import Wings, add_wings
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray
-from startracker.kernels import kernel, kernel_part, pixel_kernel
 
 
 def render_stars(
@@ -68,6 +68,7 @@ def add_each_star(images: FloatArray, xy: FloatArray, weights: FloatArray, elect
     """`add_stars` of a tabulated PSF, with a separate image (N, H, W) of each star."""
     stars, *table = _tabulated(xy, weights, electrons, psf)
     for n, image in enumerate(images):
+        # Slices of one star, because the kernel takes arrays.
         one = slice(n, n + 1)
         add_tabulated(image, _Stars(xy[one], weights, electrons[one], stars.radius[one], stars.whole[one]), *table)
 
@@ -85,7 +86,7 @@ def _tabulated(
     return _Stars(xy, weights, electrons, radius, whole), psf.core, psf.phases, wings
 
 
-@pixel_kernel
+@kernel
 def add_gaussians(
     image: FloatArray,
     xy: FloatArray,
@@ -104,14 +105,14 @@ def add_gaussians(
         radius_x, radius_y = radius[n] + 0.5, radius[n] * sigma_y / sigma_x + 0.5
         for k in range(xy.shape[1]):
             x, y = xy[n, k, 0], xy[n, k, 1]
-            if not (
-                x > -1.0 - radius_x and x < width + radius_x and y > -1.0 - radius_y and y < height + radius_y
-            ):  # outside the image, or NaN
+            # The condition is negated so that it also skips NaN, with which every comparison is false.
+            if not (x > -1.0 - radius_x and x < width + radius_x and y > -1.0 - radius_y and y < height + radius_y):
                 continue
             left, right = max(math.ceil(x - radius_x), 0), min(math.floor(x + radius_x), width - 1)
             top, bottom = max(math.ceil(y - radius_y), 0), min(math.floor(y + radius_y), height - 1)
             if left > right or top > bottom:
                 continue
+            # A Gaussian separates, so the image is the outer product of its shares in columns and rows.
             shares_of_pixels(column, left, right, x, scale_x)
             shares_of_pixels(row, top, bottom, y, scale_y)
             amount = electrons[n] * weights[k]
@@ -122,6 +123,8 @@ def add_gaussians(
 
 
 class _Stars(NamedTuple):
+    """Stars that `add_tabulated` renders."""
+
     xy: FloatArray
     """Positions (N, K, 2) at K moments of the exposure."""
     weights: FloatArray
@@ -135,6 +138,8 @@ class _Stars(NamedTuple):
 
 
 class _Work(NamedTuple):
+    """Scratch arrays of `add_tabulated`, allocated once."""
+
     stamp: FloatArray
     """Light in the pixels of a stamp (M²,), of the moments in one pixel."""
     moments: FloatArray
@@ -143,7 +148,7 @@ class _Work(NamedTuple):
     """A row of the wings, and the sum of their rows."""
 
 
-@pixel_kernel
+@kernel
 def add_tabulated(
     image: FloatArray, stars: _Stars, core: NDArray[np.float64] | NDArray[np.float32], phases: int, wings: Wings
 ) -> None:
@@ -155,7 +160,8 @@ def add_tabulated(
     about 1e-5, at most 6e-5) to contain the rest, unless that depends on the sub-pixel position.
     """
     height, width = image.shape
-    xy, weights, electrons = stars.xy, stars.weights, stars.electrons  # not in the loops: each access counts references
+    # Fields are read outside of the loops, because numba counts references at each access of a tuple.
+    xy, weights, electrons = stars.xy, stars.weights, stars.electrons
     side, half = core.shape[3], wings.half
     flat = core.reshape(core.shape[0], core.shape[1], side * side)
     longest = 0.0
@@ -174,6 +180,8 @@ def add_tabulated(
             x, y = xy[n, k, 0], xy[n, k, 1]
             if not (-1.0 - reach_x < x < width + reach_x and -1.0 - reach_y < y < height + reach_y):
                 continue
+            # Consecutive moments within one pixel share a stamp, which is added when the path leaves the pixel. The
+            # wings then need only the moments of the light, and are rendered once per pixel instead of once per moment.
             now = (math.floor(x + 0.5), math.floor(y + 0.5))
             if pending and now != pixel:
                 _add_pixel(image, work, pixel, radius, stars.whole[n], wings)
@@ -186,6 +194,7 @@ def add_tabulated(
             _add_moments(moments, dx, dy, amount)
             first_x = _lagrange(weight_x, dx * phases, amount) + middle
             first_y = _lagrange(weight_y, dy * phases, 1.0) + middle
+            # The taps along x are written out, so that one pass over the stamp adds four phases.
             for b in range(TAPS):
                 t0, t1 = flat[first_y + b, first_x], flat[first_y + b, first_x + 1]
                 t2, t3 = flat[first_y + b, first_x + 2], flat[first_y + b, first_x + 3]
@@ -208,7 +217,7 @@ def _add_moments(moments: FloatArray, dx: float, dy: float, amount: float) -> No
     moments[5] += amount * dy * dy
 
 
-@pixel_kernel
+@kernel
 def _add_pixel(
     image: FloatArray, work: _Work, pixel: tuple[int, int], radius: float, whole: float, wings: Wings
 ) -> None:

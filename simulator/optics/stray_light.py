@@ -32,11 +32,12 @@ class Baffle:
     """Point-source transmittance over the angle from the boresight, and the exclusion angles."""
 
     angle_rad: FloatArray
+    """(N,): Angles from the boresight, ascending from 0."""
     pst: FloatArray
-    """(N,): Ascending angles from 0, and the transmittance; the logarithm is interpolated linearly, zero beyond the
-    last."""
+    """(N,): Point-source transmittance; its logarithm is interpolated linearly, and it is zero beyond the last
+    angle."""
     exclusion_rad: dict[str, float]
-    """Exclusion angle by name of body (``Sun``, ``Moon``, ``Earth``), within which the tracker need not work."""
+    """Exclusion angle by name of body (``Sun``, ``Moon``, ``Earth``), within which no performance is required."""
 
     def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
         """Ratio of the irradiance on the detector to that of the same source on the aperture at normal incidence."""
@@ -70,7 +71,7 @@ def build_baffle(
     earth_exclusion_deg: float,
     base_dir: str | Path | None = None,
 ) -> Baffle | None:
-    """A baffle; None, for no stray light, if `pst` is None.
+    """Baffle of a scenario; None, and so no stray light, if `pst` is None.
 
     ``pst: vane`` is a model: log PST falls linearly with the angle from 10⁻³ on the boresight to 10⁻⁹ at the Sun's
     exclusion angle, is constant to 90° and zero beyond. Anything else is a CSV file with the header ``angle_deg,pst``,
@@ -115,12 +116,12 @@ def stray_light_e_s_pixel(
 ) -> float:
     """Electrons per second in every pixel from sources outside the field.
 
-    Σ PST(θᵢ) · (Nᵢ/A) · a: Nᵢ the electrons per second that source i would leave on the detector if the lens looked at
-    it, A the area of the aperture, so that Nᵢ/A is its irradiance there (in electrons, transmission and quantum
-    efficiency included), a the area of a pixel. PST is the usual ratio of the mean irradiance on the detector to that
-    on the aperture at normal incidence (Breault in the *Handbook of Optics*; ECSS-E-HB-60-10), here without the lens'
-    own transmission, which N already has. The light is spread evenly over the detector; real stray light has slopes
-    and ghosts.
+    The rate is Σ PST(θᵢ) · (Nᵢ/A) · a. Nᵢ are the electrons per second of source i if the camera pointed at it, and A
+    is the area of the aperture, so that Nᵢ/A is the irradiance on the aperture (in electrons, transmission and quantum
+    efficiency included); a is the area of a pixel. PST is the usual ratio of the mean irradiance on the detector to
+    that on the aperture at normal incidence (Breault in the *Handbook of Optics*; ECSS-E-HB-60-10), here without the
+    transmission of the lens, which N already contains. The light is uniform over the detector; real stray light has
+    gradients and ghosts.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
-"""A tether in front of the camera: a thin, straight, matt cylinder illuminated by Sun or Moon, defocused at short
-range.
+"""A tether in front of the camera: a thin, straight, diffusely reflecting cylinder illuminated by Sun or Moon, and
+defocused at short range.
 
 An element ds of a Lambertian cylinder of diameter D and albedo A at the distance d, with its axis at the angles β_s to
 the source and β_o to the camera, scatters towards the camera the fraction
@@ -58,7 +58,8 @@ def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: Fl
     Parameters
     ----------
     tether : Tether
-        With a diameter; both ends in front of the lens and not collinear with it, which is checked for scenarios.
+        Its diameter is above 0, both ends are in front of the lens, and their line does not pass through the lens; the
+        rules of a scenario check this.
     camera : Camera
         For the size of a pixel.
     aperture_mm : float
@@ -71,6 +72,7 @@ def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: Fl
     axis = (far - near) / length
     foot = near - (near @ axis) * axis  # point of its line closest to the lens
     distance = float(np.linalg.norm(foot))
+    # Elements of equal angle as seen from the lens, so that they are equally spaced on the image at its centre.
     first, last = (math.atan2(float(end @ axis), distance) for end in (near, far))
     count = max(1, math.ceil((last - first) / (_STEP_PX * camera.pixel_rad)))
     edges = np.linspace(first, last, count + 1)
@@ -85,8 +87,8 @@ def tether_points(tether: Tether, camera: Camera, aperture_mm: float, source: Fl
 def cylinder_share(
     axis: FloatArray, source: FloatArray, direction: FloatArray, diameter_m: float, albedo: float
 ) -> FloatArray:
-    """dE / E_source · d² / ds (N,), m: fraction of the source's light from one metre of a Lambertian cylinder, at one
-    metre.
+    """dE / E_source · d² / ds (N,), metres: irradiance relative to that of the source, from a Lambertian cylinder one
+    metre long at a distance of one metre.
 
     Parameters
     ----------
@@ -95,6 +97,7 @@ def cylinder_share(
     direction : array, shape (N, 3)
         Unit vectors from the lens to the elements.
     """
+    # The components across the axis have the lengths sin β, and the angle between them is the phase φ.
     across_source = source - (source @ axis) * axis
     across_camera = -direction + (direction @ axis)[:, None] * axis
     sine_source, sine_camera = float(np.linalg.norm(across_source)), np.linalg.norm(across_camera, axis=1)

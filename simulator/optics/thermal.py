@@ -4,10 +4,11 @@
 
 α is the total relative change of the focal length per kelvin, from expansion of the glass and the barrel and the change
 of the refractive index: tens of ppm/K uncorrected (an order of magnitude, not from a table), near 0 for athermal
-lenses. The distortion, which acts on normalised coordinates, does not change. d is the decentring of the lens against
-the detector, µm/K along columns and rows: the whole image is displaced, which turns the measured attitude by d/f.
+lenses. The distortion, which acts on normalised coordinates, does not change. d is the decentring of the lens relative
+to the detector, µm/K along columns and rows: the whole image is displaced, which rotates the measured attitude by d/f.
 
-The sky is rendered with the true camera; the frame has the calibrated one, so that the tracker sees the error.
+The sky is rendered with the true camera, but the frame has the calibrated one, so that the change is an error for the
+tracker.
 
 The temperature is T = mean + swing · sin(2π t / period), with the time t since the epoch.
 
@@ -36,7 +37,7 @@ class LensTemperature:
     swing_k: float = 0.0
     """Amplitude of the periodic part."""
     period_s: float = 6000.0
-    """Its period."""
+    """Period of the periodic part."""
 
     def camera_at(self, calibrated: Camera, t_s: float) -> Camera:
         """Camera at a time, seconds after the epoch; the calibrated one if nothing changes."""

@@ -24,6 +24,7 @@ NOLL = {
 
 def noll_order(index: int) -> tuple[int, int]:
     """(n, m) of Noll's index j ≥ 1; m ≥ 0 for the cosine term, m < 0 for the sine term (Noll 1976)."""
+    # `rest` becomes the number of polynomials of the same n before this one.
     n = 0
     rest = index - 1
     while rest > n:
@@ -57,9 +58,10 @@ def zernike(index: int, x: FloatArray, y: FloatArray) -> FloatArray:
     radial = np.zeros_like(square)
     for k in range((n - order) // 2 + 1):
         factor = (-1) ** k * math.comb(n - k, k) * math.comb(n - 2 * k, (n - order) // 2 - k)
-        radial = radial + factor * square ** ((n - order) // 2 - k)  # ρ^m is included in the angular part
+        radial = radial + factor * square ** ((n - order) // 2 - k)  # without ρ^m
     if m == 0:
         return np.asarray(math.sqrt(n + 1.0) * radial)
+    # (x + iy)^m = ρ^m (cos mθ + i sin mθ) supplies ρ^m, which the radial part omits.
     turning = (x + 1j * y) ** order
     return np.asarray(math.sqrt(2.0 * (n + 1.0)) * radial * (turning.real if m > 0 else turning.imag))
 

@@ -1,4 +1,4 @@
-"""Contradictions between the keys of the detector section: effects that a kind of detector does not have."""
+"""Rules of the ``detector`` section: effects that a kind of detector does not have, and contradictory keys."""
 
 from __future__ import annotations
 
@@ -47,6 +47,7 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[Violation]:
             message = f"{values[f'detector.{key}']} is more than the {values['detector.width']} columns of the detector"
             yield impossible(f"detector.{key}", message + "; decrease it")
 
+    # The derivative of S (1 + c₂ s + c₃ s²) must be positive up to the full well, s = 1.
     second, third = values["detector.nonlinearity"]
     signal = np.linspace(0.0, 1.0, 1001)
     if np.any(1.0 + 2.0 * second * signal + 3.0 * third * signal**2 <= 0.0):
@@ -59,6 +60,7 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[Violation]:
 
 def telegraph_times(values: Mapping[str, Any]) -> Iterator[Violation]:
     """The levels of random telegraph pixels must outlast the exposure; `values` as in `contradictions`."""
+    # The detector uses the level at mid-exposure for the whole exposure (`simulator.detector.telegraph`).
     telegraph = {name: values[f"detector.telegraph.{name}"] for name in ("low_s", "high_s")}
     shortest = min(telegraph, key=lambda name: telegraph[name])
     if values["detector.telegraph.pixel_fraction"] > 0 and values["detector.exposure_s"] > 0.1 * telegraph[shortest]:

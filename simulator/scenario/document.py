@@ -1,8 +1,8 @@
 """A YAML 1.2 file as a tree with the line and column of every key.
 
-It is built from the parser's events, which still contain duplicate keys, tags and merge keys. Plain scalars follow YAML
-1.2's core schema (``yes`` is text, ``012`` is twelve); dates remain text until a key requires one. Anchors and aliases
-work within a file. No content of a file is executed.
+The tree is built from the parser's events, because these still contain duplicate keys, tags and merge keys, which are
+reported as errors. Plain scalars follow the core schema of YAML 1.2 (``yes`` is text, ``012`` is twelve); dates remain
+text until a key requires one. Anchors and aliases are supported within a file. No content of a file is executed.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def read_text(path: Path, name: str, location: Location | None = None, key: str 
     named = f": {name}" if location else ""
     try:
         with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)
+            raw = stream.read(MAX_BYTES + 1)  # one byte more shows that the file is too large
     except (FileNotFoundError, NotADirectoryError):
         return Problem(at, key, f"no such file{named}")
     except IsADirectoryError:
@@ -77,7 +77,7 @@ def read_text(path: Path, name: str, location: Location | None = None, key: str 
     if len(raw) > MAX_BYTES:
         return Problem(Location(name), "", f"is larger than {MAX_BYTES // 1000} kB, too large for a scenario")
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode("utf-8-sig")  # without a byte order mark, which some editors write
     except UnicodeDecodeError as error:
         before = raw[: error.start]
         line, column = before.count(b"\n") + 1, len(before) - before.rfind(b"\n")
@@ -105,7 +105,7 @@ def parse_value(text: str, location: Location, problems: list[Problem]) -> Table
 
 
 def show_value(value: Any) -> str:
-    """A value as quoted in a message: short, in YAML notation."""
+    """A value in YAML notation, shortened for a message."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):
@@ -122,7 +122,7 @@ def show_value(value: Any) -> str:
 
 
 def _parse(text: str, start: Location, problems: list[Problem]) -> Table | Value | None:
-    fixed = start.line == 0  # a command-line option
+    fixed = start.line == 0  # a command-line option, in which all locations are the same
     if bad := _FORBIDDEN.search(text):
         line, column = text.count("\n", 0, bad.start()) + 1, bad.start() - text.rfind("\n", 0, bad.start())
         location = start if fixed else Location(start.source, line, column)
@@ -136,7 +136,7 @@ def _parse(text: str, start: Location, problems: list[Problem]) -> Table | Value
 
 
 class _StoppedError(Exception):
-    """The rest of a document cannot be read, or is not worth reading."""
+    """Raised where the rest of a document cannot be read."""
 
     def __init__(self, problem: Problem) -> None:
         super().__init__(problem.message)
@@ -144,8 +144,11 @@ class _StoppedError(Exception):
 
 
 def _events(text: str, start: Location) -> Iterator[Any]:
-    """The parser's events one after the other, so that a document nested too deeply is refused while it is read: the
-    parser's time grows with the square of the depth."""
+    """The parser's events, one after the other.
+
+    They are not collected first, so that a document nested too deeply is refused while it is read: the time of the
+    parser grows with the square of the depth.
+    """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
@@ -156,7 +159,7 @@ def _events(text: str, start: Location) -> Iterator[Any]:
         location = Location(start.source, mark.line + 1, mark.column + 1) if mark and start.line else start
         raise _StoppedError(Problem(location, "", _syntax_message(str(error.problem or error.context)))) from None
     except (YAMLError, ValueError, IndexError, TypeError, AttributeError, OverflowError) as error:
-        # the parser raises internal errors on some malformed directives
+        # The parser raises internal errors for some malformed directives.
         reason = (str(error).splitlines() or ["unreadable"])[0]
         raise _StoppedError(Problem(start, "", f"invalid YAML: {reason}")) from None
 
@@ -172,7 +175,7 @@ def _syntax_message(problem: str) -> str:
 
 
 class _Builder:
-    """Builds the tree from the parser's events, while these arrive."""
+    """Builds the tree from the parser's events while they arrive."""
 
     def __init__(self, events: Iterator[Any], start: Location, problems: list[Problem]) -> None:
         self.events, self.start, self.problems = events, start, problems
@@ -191,6 +194,7 @@ class _Builder:
                     self.report(event, "only YAML 1.2 is supported; remove the %YAML line")
                 if documents == 2:
                     self.report(event, "second document; a file must contain one scenario only")
+                # Further documents are parsed too, so that their errors are reported, but only the first is used.
                 read = self.node(next(self.events), 0)
                 if documents == 1:
                     node = read
@@ -210,6 +214,7 @@ class _Builder:
         if kind == "AliasEvent":
             return self.alias(event, location)
         first = self.count
+        # An anchor is registered before its node is complete, so that an alias within it is recognised as circular.
         anchor = getattr(event, "anchor", None)
         if anchor:
             self.anchors[anchor] = None
@@ -234,6 +239,7 @@ class _Builder:
         if target is None:
             self.report(event, f"alias '*{event.anchor}' refers to itself")
             return Value(REPORTED, location)
+        # An alias counts as all values of its target: nested aliases could otherwise expand exponentially.
         self.count += target[1]
         if self.count > MAX_NODES:
             if not self.full:
@@ -259,6 +265,7 @@ class _Builder:
         self.check_depth(event, depth)
         table = Table(location)
         while type(key_event := next(self.events)).__name__ != "MappingEndEvent":
+            # A key may be an alias of a text; any other node that is not a scalar has no value and is reported.
             key_node = self.node(key_event, depth + 1)
             key = getattr(key_event, "value", None)
             if type(key_event).__name__ == "AliasEvent" and isinstance(key_node, Value):

@@ -16,8 +16,9 @@ class Location:
     source: str
     """File name as the user wrote it, or the option (``--set optics.aperture_mm``)."""
     line: int = 0
+    """Line, counted from 1; 0 for the whole source."""
     column: int = 0
-    """Counted from 1; 0 means the whole source."""
+    """Column, counted from 1."""
     key: str = ""
     """For an option: the key that it sets, so that a message does not repeat it."""
 
@@ -27,11 +28,13 @@ class Location:
 
 @dataclass(frozen=True)
 class Problem:
-    """One error: its location, the dotted key (or an empty string), and what to do."""
+    """One error."""
 
     location: Location
     key: str
+    """Dotted path of the key; empty if the error does not belong to a key."""
     message: str
+    """What is wrong, and what to do."""
 
     def __str__(self) -> str:
         subject = f"{self.key}: " if self.key and self.key != self.location.key else ""
@@ -50,6 +53,7 @@ class ScenarioError(InputError):
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         unique = list(dict.fromkeys(problems))
+        # Sources in the order of their first error, lines within them, and command-line options last.
         rank = {source: i for i, source in enumerate(dict.fromkeys(p.location.source for p in unique))}
         unique.sort(
             key=lambda p: (
@@ -62,16 +66,20 @@ class ScenarioError(InputError):
         self.problems: tuple[Problem, ...] = tuple(unique)
         super().__init__("\n".join(map(str, self.problems)))
 
-    def __reduce__(self) -> tuple[Any, ...]:  # the default would pass the text to __init__ when unpickled
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By default an exception is unpickled by passing its text to __init__, which takes problems here.
         return type(self), (self.problems,)
 
 
 class Violation(NamedTuple):
-    """A violated rule: the key, the reason, and whether ``allow_unphysical`` permits it."""
+    """A violated rule."""
 
     key: str
+    """Dotted path of the key."""
     message: str
+    """The reason, and what to do."""
     overridable: bool
+    """Whether ``allow_unphysical`` permits the violation."""
 
 
 def impossible(key: str, message: str) -> Violation:

@@ -30,8 +30,8 @@ from simulator.units import UNITS, unit_suffix
 MISSING = dataclasses.MISSING
 
 NameChecks = Mapping[str, Callable[[Any, Mapping[str, Any]], str | None]]
-"""Dotted path to a function of the key's value and of the valid values of all keys by dotted path: it returns the
-error, or None."""
+"""Check of a key by its dotted path: a function of the value of the key and of the valid values of all keys by dotted
+path, which returns an error message, or None."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,6 +74,8 @@ class Key:
 @cache
 def keys_of(section: type, prefix: str = "") -> dict[str, Key]:
     """Keys of a section (a pydantic model or a dataclass) by name, in order."""
+    # A pydantic model states limits in its annotations; plain dataclasses, which do not depend on pydantic, have them
+    # in `LIMITS`.
     hints = typing.get_type_hints(section, include_extras=True)
     limits = LIMITS.get(section, {})
     keys = {}
@@ -97,6 +99,7 @@ def is_section(kind: Any) -> bool:
 @cache
 def _descriptions(section: type) -> dict[str, str]:
     """Descriptions of the keys of a section: the strings below its fields, or the ``Parameters`` of its docstring."""
+    # Strings below fields are not available at run time, so they are read from the source.
     words = {k: v for kind in reversed(section.__mro__) for k, v in _parameter_docs(kind.__doc__ or "").items()}
     for field, below in pairwise(_classes(section.__module__)[section.__name__].body):
         if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
@@ -106,7 +109,8 @@ def _descriptions(section: type) -> dict[str, str]:
 
 @cache
 def _classes(module: str) -> dict[str, ast.ClassDef]:
-    """Classes of a module as they are written; `inspect.getsource` would parse the module for each of them."""
+    """Syntax trees of the classes of a module. They are parsed together, because `inspect.getsource` of a class would
+    parse the whole module for each of them."""
     declared = ast.parse(inspect.getsource(sys.modules[module])).body
     return {each.name: each for each in declared if isinstance(each, ast.ClassDef)}
 
@@ -147,6 +151,7 @@ def check_value(key: Key, data: Any) -> tuple[Any, str]:
     Strict: text is not a number even if it looks like one, true is not 1, and 1.5 is not an integer. Integers are
     accepted for floats, lists for tuples, and ISO 8601 text for dates.
     """
+    # The error quotes the value as it was given; `undated` is the reason if a date does not exist.
     base = _strip(key.annotation)[0]
     given, undated = data, ""
     if base is datetime and isinstance(data, str):
@@ -181,7 +186,7 @@ def parse_utc(text: str) -> datetime:
 
 
 def describe(annotation: Any) -> str:
-    """Values permitted by a type expression, in words: "a number above 0", "'j2' or 'sgp4'"."""
+    """Description of the values that a type permits, such as "a number above 0" or "'j2' or 'sgp4'"."""
     base, limits = _strip(annotation)
     if get_origin(base) is Literal:
         return _join([f"'{word}'" for word in get_args(base)])
@@ -232,6 +237,7 @@ def _number(limit: float | None) -> str:
 
 
 def _hint(annotation: Any, value: Any) -> str:
+    # Suggestions for common mistakes: misspelt words, quoted numbers and bools, units, decimal commas.
     accepted = {_strip(part)[0] for part in _branches(annotation)}
     if isinstance(value, str):
         choices = [word for part in _branches(annotation) if get_origin(part) is Literal for word in get_args(part)]
@@ -281,6 +287,8 @@ def _make_adapter(key: Key) -> Callable[[Any], Any]:
     if section := item_section(key.annotation):
         columns = keys_of(section, f"{key.path}[]")
         return lambda items: tuple(_item(section, columns, item, n) for n, item in enumerate(_list(items)))
+    # A scenario may have an integer for a float. NaN and infinity are refused for every number, also where the
+    # annotation is a plain float.
     adapter: TypeAdapter[Any] = TypeAdapter(key.annotation)
     finite = {_strip(part)[0] for part in _branches(key.annotation)} == {float}
 
@@ -303,11 +311,11 @@ def _list(items: Any) -> tuple[Any, ...]:
 
 
 class ItemError(ValueError):
-    """An item of a list of sections that is invalid; its text says which and why."""
+    """An item of a list of sections is invalid; the message has its number and the reason."""
 
 
 def _item(section: type, columns: Mapping[str, Key], item: Any, number: int) -> Any:
-    """An item of a list of sections, from a mapping or unchanged, with each value checked."""
+    """Item of a list of sections, from a mapping or an object of the section, with each value checked."""
     if not isinstance(item, (dict, section)):
         raise ItemError(f"item {number + 1} is {show_value(item)}")
     given = item if isinstance(item, dict) else {name: getattr(item, name, MISSING) for name in columns}
@@ -331,6 +339,7 @@ def _join(parts: list[str]) -> str:
 
 def _parameter_docs(doc: str) -> dict[str, str]:
     """Descriptions from a numpydoc ``Parameters`` section."""
+    # A line "a, b : type" begins the description of one or several names, an empty line ends it.
     words: dict[str, str] = {}
     names: list[str] = []
     for line in doc.partition("----------\n")[2].splitlines():

@@ -30,17 +30,18 @@ FILE_KEYS = (
     "pointing.jitter.table",
     *ALWAYS_FILES,
 )
-"""These, and keys that may name a CSV file."""
+"""Keys that may name a file: `ALWAYS_FILES`, and keys whose value is a CSV file or something else."""
 
 
 def find_scenario(path: str | Path) -> Path:
-    """The file, or for a name such as ``sunsat`` or ``moon`` that is not a file, the included scenario of that name."""
+    """The file `path` if it exists; otherwise the included scenario of that name, such as ``sunsat`` or ``moon``."""
     return _file_or_shipped(Path(path), str(path))
 
 
 @functools.cache
 def included_scenarios() -> dict[str, Path]:
-    """Files of the included scenarios by name; those of the gallery go by ``moon`` and by ``gallery/moon``."""
+    """Files of the included scenarios by name. Those of the gallery have two names, such as ``moon`` and
+    ``gallery/moon``."""
     here = Path(__file__).resolve().parent
     folder = next(path for path in (here / "shipped", here.parents[1] / "scenarios") if path.is_dir())
     found = {file.stem: file for file in sorted(folder.glob("*.yaml"))}
@@ -50,13 +51,13 @@ def included_scenarios() -> dict[str, Path]:
 
 
 def _file_or_shipped(file: Path, written: str) -> Path:
-    """`file`, or, if it does not exist and the user wrote the name of an included scenario, that."""
+    """`file` if it exists; otherwise the included scenario whose name the user wrote, if there is one."""
     shipped = included_scenarios().get(written)
     return shipped if shipped is not None and (file.is_dir() or not os.path.lexists(file)) else file
 
 
 def _hint(file: Path) -> str:
-    """What to write instead of a file that does not exist."""
+    """Suggestion for a message about a file that does not exist."""
     if "\0" in str(file):
         return ""
     known = {name: name for name in included_scenarios()} | {
@@ -100,8 +101,11 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
     if not isinstance(base, str) or not base:
         problems.append(Problem(entry.location, "base", f"must be the name of a scenario file, not {show_value(base)}"))
         return None
+    # A base is relative to the file that names it. The file system rejects names with a null character by ValueError,
+    # so such a name is passed on to `read_text`, which reports it.
     beside = os.path.normpath(os.path.join(folder, base))
     base_name = str(_file_or_shipped(Path(beside), base)) if "\0" not in base else beside
+    # Files are compared by their real paths, so that a circle through symbolic links is found.
     real = os.path.realpath(base_name) if "\0" not in base_name else base_name
     known = [seen for seen, _ in chain]
     if real in known:
@@ -113,7 +117,8 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
 
 
 def absolute_files(tree: Table, folder: str) -> Table:
-    """Names of files as absolute paths, so that they remain valid in another folder."""
+    """The tree with names of files as absolute paths, so that they remain valid relative to another folder."""
+    # Trees are not modified: a layer with the absolute name is merged over each of them.
     heads = tree.entries.get("heads")
     if heads and isinstance(heads.node, Value) and heads.node.items:
         items = tuple(absolute_files(item, folder) if isinstance(item, Table) else item for item in heads.node.items)
@@ -122,6 +127,7 @@ def absolute_files(tree: Table, folder: str) -> Table:
         tree = merge(tree, Table(tree.location, {"heads": Entry(heads.location, value)}))
     for path in FILE_KEYS:
         tables, keys = [tree], path.split(".")
+        # The tables down to the one with the key; the list is shorter if a section is missing.
         for key in keys[:-1]:
             inner = tables[-1].entries.get(key)
             if inner and isinstance(inner.node, Table):

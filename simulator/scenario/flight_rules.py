@@ -1,4 +1,4 @@
-"""What the flight build of a tracker does not have: keys that ``tracker.engine: flight`` excludes."""
+"""Rules of ``tracker.engine: flight``: methods, settings and cameras that the flight build does not support."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _METHODS = {
     "tracker.estimator": ("field_fit",),
 }
 """Methods that the flight build has, the default first."""
-_UNREAD = {
+_UNREAD: dict[str, tuple[Any, tuple[str, ...]]] = {
     "tracker.detection": (
         DetectionSettings(),
         ("min_pixels", "search_step_px", "matched_filter", "isolation", "cluster_radius_px", "threshold_dn"),
     ),
     "tracker.centroid": (CentroidSettings(), ("bias_correction", "psf_sigma_px", "psf")),
 }
-"""Settings without effect on it, with their defaults."""
+"""Settings that have no effect on the flight build: the section's defaults, and the names of these settings."""
 _UNREAD_BY_IDENTIFIERS = ("max_centroids", "max_operations")
 _WIDEST_DEG = 45.0
 LARGEST = {
@@ -42,10 +42,14 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     """Violated rules of a scenario whose frames are solved by the flight build."""
     if v["tracker.engine"] != "flight":
         return
+    # Every difference from what the flight build does is an error, so that a study never shows results of settings that
+    # have not been used.
     for key, known in _METHODS.items():
         if v[key] not in known:
             yield impossible(key, f"the flight build has no '{v[key]}'; use {known[0]}, {_OR}")
-    for section, (defaults, names) in (*_UNREAD.items(), *_of_identifier(v["tracker.identifier"])):
+    own = ("separation_tolerance_deg",) if v["tracker.identifier"] == "adaptive" else ()  # triads read it
+    unread = _UNREAD | {"tracker.identification": (AdaptiveSettings(), (*_UNREAD_BY_IDENTIFIERS, *own))}
+    for section, (defaults, names) in unread.items():
         for name in names:
             default = getattr(defaults, name)
             if v[f"{section}.{name}"] != default:
@@ -61,14 +65,8 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
             yield impossible(key, f"is not part of the flight build; use false, {_OR}")
 
 
-def _of_identifier(identifier: str) -> list[tuple[str, tuple[Any, tuple[str, ...]]]]:
-    """Settings of an identifier without effect on the flight build, with their defaults."""
-    own = ("separation_tolerance_deg",) if identifier == "adaptive" else ()  # triads read it
-    return [("tracker.identification", (AdaptiveSettings(), (*_UNREAD_BY_IDENTIFIERS, *own)))]
-
-
 def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
-    """Cameras that the flight build does not hold."""
+    """Properties of a camera that the flight build does not support."""
     if v["detector.shutter"] == "rolling":
         yield impossible("detector.shutter", f"the flight build has no rolling shutter; use global, {_OR}")
     if v["detector.adc_bits"] is None:
@@ -84,6 +82,7 @@ def _camera(v: Mapping[str, Any]) -> Iterator[Violation]:
 
 def _half_field_deg(v: Mapping[str, Any], side: str, axis: int) -> float:
     """Angle between the optical axis and the farther border along an axis of the image, without distortion."""
+    # The border is half a detector away from its middle, plus the offset of the principal point.
     pitch = v["detector.pixel_pitch_um"]
     pitch_um = pitch[axis] if isinstance(pitch, tuple) else pitch
     away_px = 0.5 * v[f"detector.{side}"] + abs(v["optics.principal_point_offset_px"][axis])

@@ -1,4 +1,4 @@
-"""Points of a sweep: the values that ``--over`` gives to keys, and how they are combined.
+"""Points of a sweep: the values of keys in ``--over`` options, and their combinations.
 
 ``path=low:high:count`` is a range of `count` evenly spaced values including both ends; ``,log`` spaces them evenly in
 the logarithm. ``path=v1,v2,…`` is a list of values as YAML writes them: numbers, names, lists in brackets. Several
@@ -43,10 +43,11 @@ class SweptKey:
     key: Key
     """The key, with its type and unit."""
     values: tuple[Any, ...]
-    """The values in order; for a range, those of the grid."""
+    """The values in order; for a range, the values of the grid."""
     low: float | None = None
+    """Start of a range; None for a list."""
     high: float | None = None
-    """Ends of a range; None for a list."""
+    """End of a range; None for a list."""
     log: bool = False
     """Whether the range is logarithmic."""
     whole: bool = False
@@ -73,8 +74,8 @@ class SweptKey:
             return self.values[int(fraction * len(self.values))]
         if self.log:
             value = math.exp(math.log(self.low) + fraction * (math.log(self.high) - math.log(self.low)))
-            value = min(max(value, self.low), self.high)
-        elif self.whole:  # every integer has the same probability
+            value = min(max(value, self.low), self.high)  # rounding of exp(log(x)) may leave the range
+        elif self.whole:  # + 1 so that every integer from low to high has the same probability
             return math.floor(self.low + fraction * (self.high - self.low + 1))
         else:
             value = self.low + fraction * (self.high - self.low)
@@ -180,12 +181,13 @@ def _limit(count: int) -> None:
 
 
 def _unknown(path: str, keys: Mapping[str, Key]) -> str:
-    """Message for an unknown key: that of the scenario's loader, or that it is a section."""
+    """Message for a key that cannot be swept: it is a section, or unknown to the scenario's loader."""
     if any(known.startswith(f"{path}.") for known in keys):
         inside = [known for known in keys if known.startswith(f"{path}.")]
         return f"is a section; sweep one of its keys: {', '.join(inside[:12])}{' …' if len(inside) > 12 else ''}"
     from simulator.scenario.load import Scenario
 
+    # The loader finds the section to which a key belongs, or the closest name; its message for this key is used.
     try:
         Scenario.parse("{}", [f"{path}=0"])
     except ScenarioError as error:
@@ -196,6 +198,7 @@ def _unknown(path: str, keys: Mapping[str, Key]) -> str:
 
 
 def _parse(key: Key, written: str, location: Location, problems: list[Problem]) -> SweptKey | None:
+    # A text that is not a range is a list, whose parts are parsed as YAML like values of --set.
     match = _RANGE.fullmatch(written.replace(" ", ""))
     if match:
         return _range(key, match, location, problems)
@@ -231,6 +234,7 @@ def _range(key: Key, match: re.Match[str], location: Location, problems: list[Pr
     if message:
         problems.append(Problem(location, key.path, message))
         return None
+    # Without a count a range serves for a Latin hypercube only.
     values = _spaced(low, high, count, log) if count else ()
     if whole:
         values = tuple(round(v) for v in values)
@@ -248,7 +252,7 @@ def _spaced(low: float, high: float, count: int, log: bool) -> tuple[float, ...]
 
 
 def _split(text: str) -> list[str]:
-    """Parts between the commas outside brackets and quotes."""
+    """Parts of a text between its commas, except for commas within brackets or quotes."""
     parts, depth, quote = [""], 0, ""
     for character in text:
         if quote:
@@ -275,6 +279,7 @@ def _whole(annotation: Any) -> bool:
 
 def _check(axis: SweptKey, location: Location, names: NameChecks, problems: list[Problem]) -> bool:
     """Check each value against its key; physical plausibility of the combination is checked later."""
+    # Limits of keys are intervals, so a range without values is valid if both of its ends are.
     ends: tuple[Any, ...] = () if axis.low is None else (axis.low, axis.high)
     candidates = axis.values or (tuple(map(round, ends)) if axis.whole else ends)
     before = len(problems)

@@ -1,4 +1,4 @@
-"""The heads of a scenario: the values that each overrides, and their rules."""
+"""The heads of a scenario: the values that each head overrides, and the rules of these values."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def head_values(head: HeadSection) -> dict[str, Any]:
 
 
 def values_of_heads(path: str, v: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """For each head that gives a key its own value: the path at which it does, and the values of its scenario."""
+    """For each head that overrides a key: the path of its value, and all values of the scenario of that head."""
     for k, head in enumerate(v.get("heads", ())):
         values = _checked(head)[0]
         if path in values:
@@ -40,8 +40,8 @@ def values_of_heads(path: str, v: Mapping[str, Any]) -> Iterator[tuple[str, dict
 
 
 def all_violations(v: Mapping[str, Any]) -> list[Violation]:
-    """All violated rules of a scenario: those of its camera, as from `simulator.scenario.physics.violations`, and those
-    of its heads."""
+    """All violated rules of a scenario: those of `simulator.scenario.physics.violations` for its camera, and those of
+    its heads."""
     return violations_of((*RULES, _contradictions), v)
 
 
@@ -51,6 +51,8 @@ def _contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     if not heads:
         return
     names = [head.name for head in heads]
+    # A head is checked as the camera of a scenario without heads. Violations that the scenario has without the head's
+    # values are reported once, for the scenario.
     alone = {**v, "heads": ()}
     common = set(violations(alone))
     step_s = v["sequence.step_s"]
@@ -72,13 +74,14 @@ def _contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
         for violation in violations(alone | values):
             if violation not in common and violation.key.startswith(OVERRIDDEN):
                 yield violation._replace(key=f"heads[{k}].{violation.key}")
+    # Both need a single camera whose frames they control or calibrate.
     for key in ("sequence.operation.use", "tracker.in_flight_calibration.use"):
         if v[key]:
             yield impossible(key, "is not available with heads; set it to false, or remove heads")
 
 
 def _checked(head: HeadSection) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Valid overridden values as the schema converts them, and (path, message) of the others."""
+    """Valid values that a head overrides, converted by the schema, and (path, message) of the invalid ones."""
     keys: dict[str, Key] = {key.path: key for key in all_keys()}
     values: dict[str, Any] = {}
     problems = []

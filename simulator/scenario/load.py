@@ -1,4 +1,4 @@
-"""From a scenario file and its bases to a frozen `Scenario`; all errors are reported at once, each with its location.
+"""Loading of a scenario file and its bases as a frozen `Scenario`; all errors are reported at once, with locations.
 
 Steps: text → tree with locations (`document`) → merged over its base, with options over both (`overrides`) → values
 checked against the schema (`fields`) → physical plausibility (`physics`) → `Scenario`. Names of algorithms and curves
@@ -174,7 +174,7 @@ class Scenario(ScenarioModel):
 
     @property
     def source_name(self) -> str:
-        """Argument with which the command line loads it again: the file, or the name if there is none."""
+        """Argument by which the command line loads the scenario again: the file, or the name if there is none."""
         return str(self._path) if self._path else self.name
 
     @property
@@ -197,7 +197,7 @@ class Scenario(ScenarioModel):
         return hashlib.sha256(self.to_yaml(comments=False).encode()).hexdigest()
 
     def files(self) -> dict[str, Path]:
-        """Files named by its values, by dotted key."""
+        """Existing files that values of the scenario name, by dotted key."""
         flat = flatten(self)
         for k, head in enumerate(self.heads):
             flat |= {f"heads[{k}].{key}": value for key, value in heads.head_values(head).items()}
@@ -222,7 +222,7 @@ class Scenario(ScenarioModel):
         return self.changed(_NOISELESS)
 
     def changed(self, values: Mapping[str, Any]) -> Scenario:
-        """The same scenario with other values by dotted path, checked again; its files are still found.
+        """The same scenario with other values by dotted path, checked again; relative file names remain valid.
 
         Values may be astropy quantities, as in `load`.
         """
@@ -238,7 +238,7 @@ class Scenario(ScenarioModel):
 
 
 def _problems_of(error: ValidationError) -> Iterator[Problem]:
-    """Faults that pydantic found, each at its dotted path; those of the whole scenario have a line ``path: fault``."""
+    """Errors of pydantic, each with its dotted path; errors of the whole scenario are lines ``path: reason``."""
     for fault in error.errors():
         path, message = ".".join(str(part) for part in fault["loc"]), fault["msg"].removeprefix("Value error, ")
         for line in message.splitlines():
@@ -267,8 +267,11 @@ def _build(
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)
+    # Files in options are relative to the working folder, files in a scenario to the scenario's folder.
     tree = merge(tree, absolute_files(options, ""))
     flat = _check_table(tree, ScenarioModel, "", Location(top.source), problems)
+    # Rules and checks run even if there are invalid values, which are missing in `flat`, so that everything is reported
+    # at once.
     allowed = flat.get("allow_unphysical", False)
     for violation in heads.all_violations(flat):
         if not (violation.overridable and allowed):
@@ -302,7 +305,7 @@ def _check_table(
     """Valid values of a section and its subsections by dotted path, including defaults; errors are appended."""
     flat: dict[str, Any] = {}
     keys = keys_of(section, prefix)
-    misspelt = set()
+    misspelt = set()  # a required key that is only misspelt is not reported as missing as well
     for name, entry in table.entries.items():
         if name not in keys:
             path = f"{prefix}.{name}" if prefix else name
@@ -373,6 +376,7 @@ def _unknown(name: str, prefix: str, keys: Mapping[str, Key], option: bool) -> s
 
 def _location_of(tree: Table, path: str) -> Location:
     """Location of a key, otherwise that of its section, otherwise the file."""
+    # A part of the path may have the number of an item of a list, as in heads[1].optics.
     location, node = Location(tree.location.source), tree
     for part in path.split("."):
         name, _, number = part.rstrip("]").partition("[")

@@ -1,4 +1,4 @@
-"""Contradictions within a scenario's ``orbit`` section, and orbits that meet the surface."""
+"""Rules of the ``orbit`` section: contradictory keys, and orbits that meet the surface."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from simulator.scenario.errors import Violation, impossible, unphysical
 from simulator.scenario.pointing_rules import attitude_ends
 
 LOWEST_KM = 150.0
+"""Minimum height of a perigee, as `simulator.scenario.physics.MIN_ORBIT_KM`."""
 _RADIUS_KM = {"Earth": EARTH_RADIUS_KM, "Moon": 1737.4, "Sun": 695_700.0}
 _INFLUENCE_KM = {"Earth": 925_000.0, "Moon": 66_100.0, "Sun": math.inf}
 """Spheres of influence, within which a state is near a conic: a (m/M)^(2/5)."""
@@ -21,7 +22,7 @@ _GIVEN_BY = {"elements": "elements.semi_major_axis_km", "state": "state.position
 
 
 def sources(v: Mapping[str, Any]) -> list[str]:
-    """Keys below ``orbit.`` that define another orbit than the circular one."""
+    """Keys of the ``orbit`` section that define an orbit other than the circular one."""
     keys = (*_GIVEN_BY.values(), *FILES)
     return [key for key in keys if v[f"orbit.{key}"] is not None]
 
@@ -61,6 +62,7 @@ def _periapsis(v: Mapping[str, Any]) -> Iterator[Violation]:
     """An orbit by elements or by a state must pass above the surface of its centre."""
     centre, a_km = v["orbit.centre"], v["orbit.elements.semi_major_axis_km"]
     position, velocity = v["orbit.state.position_km"], v["orbit.state.velocity_km_s"]
+    # A state outside the sphere of influence is not on a conic about the centre, and has no periapsis there.
     if a_km is not None:
         key, least_km = "elements.semi_major_axis_km", a_km * (1.0 - v["orbit.elements.eccentricity"])
     elif position is not None and velocity is not None and 0.0 < math.hypot(*position) < _INFLUENCE_KM[centre]:

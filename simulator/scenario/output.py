@@ -64,6 +64,7 @@ def yaml_value(value: Any) -> str:
     if is_section(kind):
         keys = keys_of(kind)
         return "{" + ", ".join(f"{name}: {yaml_value(getattr(value, name))}" for name in keys) + "}"
+    # Text without quotes must not look like another YAML type, nor like a word that older parsers take for a bool.
     text = str(value)
     if _PLAIN.fullmatch(text) and text.lower() not in _RESERVED:
         return text
@@ -116,6 +117,7 @@ def _object_schema(section: type, prefix: str, needed: dict[str, Any]) -> dict[s
     properties: dict[str, Any] = {}
     for name, key in keys_of(section, prefix).items():
         if key.section:
+            # Required keys are collected beside the schema, because a file with a base may omit them.
             inner: dict[str, Any] = {"required": [], "properties": {}}
             body = _object_schema(key.section, key.path, inner)
             if inner["required"]:

@@ -1,4 +1,4 @@
-"""Values that override those of a file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
+"""Overriding values of a scenario file: ``--set optics.aperture_mm=25``, ``--seed 2``, or a mapping in Python."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from startracker.errors import InputError
 
 
 def set_values(tree: Table, values: Mapping[str, Any], keys: Mapping[str, Key], problems: list[Problem]) -> Table:
-    """The tree with values put in by dotted path, each as `as_written` converts it."""
+    """The tree with values set by dotted path, after conversion by `as_written`."""
     for path, value in values.items():
         location = Location(path, key=path)
         try:
@@ -52,9 +52,8 @@ def merge(below: Table, above: Table) -> Table:
     for key, entry in above.entries.items():
         old = merged.entries.get(key)
         if old and isinstance(old.node, Table) and isinstance(entry.node, Table):
-            location = (
-                old.location if entry.location.key else entry.location
-            )  # an option sets one key and keeps the location of the section
+            # An option sets a single key, so the section remains at its location in the file.
+            location = old.location if entry.location.key else entry.location
             merged.entries[key] = Entry(location, merge(old.node, entry.node))
         else:
             merged.entries[key] = entry

@@ -1,8 +1,8 @@
 """Physical plausibility: contradictions between keys, which are always errors, and unphysical values, which
 ``allow_unphysical: true`` permits and the report repeats.
 
-Each rule reads the values that it needs and names the offending key. A rule with invalid input values is skipped, so
-that physics is checked and reported together with all other errors.
+Each rule is a function of the values by dotted path, and names the key that violates it. Values that the schema rejects
+are absent, and rules that need them are skipped, so that physics is reported together with all other errors.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def violations_of(rules: Iterable[Rule], values: Values) -> list[Violation]:
     for rule in rules:
         try:
             found.extend(rule(values))
-        except KeyError:  # an invalid value, reported elsewhere
+        except KeyError:  # the rule needs a value that is invalid and has been reported
             continue
     return found
 
@@ -112,6 +112,7 @@ def _sun_synchronous(v: Values) -> Iterator[Violation]:
 
 
 def _epoch(v: Values) -> Iterator[Violation]:
+    # The mission must end within the ephemeris, with margins for a year of trials or for an orbit.
     epoch, (first, last) = v["epoch"], EPHEMERIS
     span = timedelta(days=366) if v["study.sampling"] == "mission_year" else timedelta(days=2)
     if not first <= epoch <= last - span:
@@ -129,6 +130,7 @@ def _tether(v: Values) -> Iterator[Violation]:
                 f"tether.{key}", f"{end[2]:g} m along the boresight; both ends must be in front of the lens"
             )
             return
+    # Distance between the images of the two ends, in focal lengths.
     turn = math.hypot(*(near[i] / near[2] - far[i] / far[2] for i in range(2)))
     if turn < 1e-6:
         yield impossible("tether.far_m", "the tether is collinear with the lens; move one end sideways")
@@ -231,7 +233,7 @@ def _temperature(v: Values) -> Iterator[Violation]:
 
 def _dark_signal(v: Values) -> Iterator[Violation]:
     doublings = (v["detector.temperature_c"] - v["detector.dark_reference_c"]) / v["detector.dark_doubling_c"]
-    dark_e = v["detector.dark_current_e_s"] * v["detector.exposure_s"] * 2.0 ** min(doublings, 900.0)
+    dark_e = v["detector.dark_current_e_s"] * v["detector.exposure_s"] * 2.0 ** min(doublings, 900.0)  # no overflow
     if dark_e > v["detector.full_well_e"]:
         message = (
             f"in {v['detector.exposure_s']:g} s at {v['detector.temperature_c']:g} °C the dark current alone generates "
@@ -253,6 +255,7 @@ def _exposure(v: Values) -> Iterator[Violation]:
 
 
 def _converter(v: Values) -> Iterator[Violation]:
+    # The range of the converter must hold more than the noise, and its steps must be smaller than the full well.
     bits, gain = v["detector.adc_bits"], v["detector.gain_e_per_dn"]
     top_dn = math.inf if bits is None else 2**bits - 1
     if v["detector.offset_dn"] >= top_dn:
@@ -278,6 +281,8 @@ def _guide_stars(v: Values) -> Iterator[Violation]:
 
 
 def _least_and_most(low: str, high: str) -> Rule:
+    """Rule that the value of `high`, if there is one, is not below that of `low`."""
+
     def rule(v: Values) -> Iterator[Violation]:
         if v[high] is not None and v[high] < v[low]:
             yield impossible(high, f"{v[high]:g} is less than {low} ({v[low]:g})")

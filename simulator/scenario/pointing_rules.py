@@ -1,4 +1,4 @@
-"""Contradictions within a scenario's ``pointing`` section."""
+"""Rules of the ``pointing`` section: contradictory keys."""
 
 from __future__ import annotations
 
@@ -48,22 +48,26 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
 
 
 def _laws(v: Mapping[str, Any]) -> Iterator[Violation]:
-    """One definition of the attitude."""
+    """The attitude may have only one definition."""
     if v["pointing.spin.rate_deg_s"] and v["pointing.target"] is not None:
         yield impossible(
             "pointing.spin.rate_deg_s", "a freely spinning body cannot hold a pointing.target; remove one of them"
         )
         return
-    given = ["pointing.target"] * (v["pointing.target"] is not None)
-    given += ["pointing.spin.rate_deg_s"] * (v["pointing.spin.rate_deg_s"] != 0.0) + attitude_files(v)
-    given += ["pointing.waypoints.points"] * bool(v["pointing.waypoints.points"])
-    given += ["pointing.track.target"] * (v["pointing.track.target"] is not None)
+    definitions = {
+        "pointing.target": v["pointing.target"] is not None,
+        "pointing.spin.rate_deg_s": v["pointing.spin.rate_deg_s"] != 0.0,
+        **dict.fromkeys(attitude_files(v), True),
+        "pointing.waypoints.points": bool(v["pointing.waypoints.points"]),
+        "pointing.track.target": v["pointing.track.target"] is not None,
+    }
+    given = [key for key, is_given in definitions.items() if is_given]
     if len(given) > 1:
         yield impossible(given[1], f"the attitude is already defined by {given[0]}; set one of them to null")
 
 
 def _waypoints(v: Mapping[str, Any]) -> Iterator[Violation]:
-    """Points and limits of slews, by the law that is built of them."""
+    """Rules of slews, which are checked by building the attitude law."""
     points = v["pointing.waypoints.points"]
     limits = Waypoints(
         points,
@@ -71,6 +75,7 @@ def _waypoints(v: Mapping[str, Any]) -> Iterator[Violation]:
         v["pointing.waypoints.max_rate_deg_s"],
         v["pointing.waypoints.acceleration_deg_s2"],
     )
+    # The mounting does not affect the times and rates of slews, so an identity serves.
     try:
         if points:
             build_slews(limits, Clock(v["epoch"]), np.array([0.0, 0.0, 0.0, 1.0]))

@@ -1,4 +1,4 @@
-"""Values of scenario keys given in Python: quantities and times of astropy, arrays and numbers of NumPy, paths."""
+"""Conversion of values given in Python for scenario keys: astropy quantities and times, NumPy arrays, paths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from startracker.interop import is_time, plain
 
 
 def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
-    """A value as YAML would give it: in the key's unit, with lists in place of tuples and arrays.
+    """Convert a value to what a YAML file would contain: a number in the unit of the key, and lists.
 
     Parameters
     ----------
@@ -27,8 +27,9 @@ def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
     Raises
     ------
     InputError
-        For a quantity in another kind of unit.
+        For a quantity whose unit cannot be converted to that of the key.
     """
+    # An unknown path is left to the loader, which reports it.
     if path in keys:
         ending = unit_suffix(keys[path].name)
         value = plain(value, (ending and UNITS[ending].astropy) or "", path)

@@ -68,8 +68,8 @@ class TrackerSection(Section):
     """The star tracker that solves the frames."""
 
     engine: Literal["reference", "flight"] = "reference"
-    """What runs: ``reference``, the tracker in Python with all its methods; ``flight``, the C that ``boresight
-    export-c`` writes for the scenario's camera, compiled on this machine."""
+    """Implementation that solves the frames: ``reference``, the tracker in Python with all its methods; ``flight``, the
+    C that ``boresight export-c`` writes for the scenario's camera, compiled on this machine."""
     flight: FlightSection = FlightSection()
     """Settings of the flight build."""
     catalog: str = "hipparcos"
@@ -94,7 +94,7 @@ class TrackerSection(Section):
     identification: AnyIdentificationSettings = AnyIdentificationSettings()
     """Settings of the identification; settings that the `identifier` does not use are reported as errors."""
     catalogue_errors: CatalogueErrors = CatalogueErrors()
-    """Errors of the tracker's catalogue against the sky."""
+    """Errors of the tracker's catalogue relative to the sky."""
     in_flight_calibration: InFlightSettings = InFlightSettings()
     """Calibration in flight, in sequences."""
 

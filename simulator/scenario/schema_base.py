@@ -30,6 +30,6 @@ class Section(BaseModel):
     __str__ = __repr__
 
     def __dir__(self) -> list[str]:
-        """Keys, and what boresight adds to them; the names that pydantic brings along are left out."""
+        """Keys, and the attributes that boresight defines; those inherited from pydantic are omitted."""
         own = {name for kind in type(self).__mro__ if issubclass(kind, Section) for name in vars(kind)}
         return sorted(name for name in {*own, *type(self).model_fields} if not name.startswith(("_", "model_")))

@@ -22,7 +22,8 @@ class ThermalSection(Section):
     expansion_ppm_k: FiniteFloat = 0.0
     """Relative change of the focal length; 0: none."""
     decentring_um_k: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
-    """Motion of the lens against the detector along columns and rows, which displaces the whole image; [0, 0]: none."""
+    """Motion of the lens relative to the detector along columns and rows, which displaces the whole image; [0, 0]:
+    none."""
     reference_c: FiniteFloat = 20.0
     """Temperature for which `focal_length_mm` is given and at which the tracker's camera was calibrated."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0
@@ -69,7 +70,7 @@ class OpticsSection(Section):
     principal_point_offset_px: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
     """Principal point minus the centre of the detector."""
     calibration_residual: CalibrationResidual = CalibrationResidual()
-    """Smooth error that the calibration of the camera left: the tracker does not know it."""
+    """Smooth error that remains after the calibration of the camera, not known to the tracker."""
     lateral_colour: LateralColour = LateralColour()
     """Lateral chromatic aberration."""
     vignetting: Vignetting = Vignetting()
@@ -103,7 +104,7 @@ class DetectorSection(Section):
     transfer_smear: Literal["both", "after"] = "both"
     """Transfer under light before (clearing) and after the exposure, or only after it."""
     time_tag: TimeTag = TimeTag()
-    """Error of the time stated for mid-exposure: the attitude of a frame is that of another moment."""
+    """Error of the time stated for mid-exposure, by which the attitude of a frame refers to another moment."""
     quantum_efficiency: str | Fraction = 0.5
     """A number, the name of an included detector, or a CSV file (wavelength_nm, qe)."""
     temperature_c: Annotated[FiniteFloat, Field(gt=-273.15)] = 20.0

@@ -1,4 +1,4 @@
-"""The scenario's ``sequence`` section: successive frames in tracking mode, motion, gyro."""
+"""The ``sequence`` section of a scenario: successive frames in tracking mode, motion, gyro."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class SequenceSection(Section):
     dropouts: tuple[DropoutSection, ...] = ()
     """Intervals without frames: a list of {start_s, duration_s}."""
     recording: str | None = None
-    """CSV or Parquet file with the true motion, used as it is in place of that of `pointing`, `rates` and `slew`: one
-    row per frame with t_s, the quaternion ICRS to camera (qx, qy, qz, qw) and the inertial rate in camera axes
-    (rate_x_rad_s, rate_y_rad_s, rate_z_rad_s). ``boresight serve`` records such files."""
+    """CSV or Parquet file with the true motion, which replaces that of `pointing`, `rates` and `slew`: one row per
+    frame with t_s, the quaternion ICRS to camera (qx, qy, qz, qw) and the inertial rate in camera axes (rate_x_rad_s,
+    rate_y_rad_s, rate_z_rad_s). ``boresight serve`` records such files."""
     gyro: Gyro = Gyro()
     """The gyro."""
     rate_walk_deg_s_sqrt_s: Positive | Literal["auto"] = "auto"

@@ -1,4 +1,4 @@
-"""The ``specification`` section: what is required of the camera."""
+"""The ``specification`` section of a scenario: the required performance of the camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SPECIFIED_AXES: tuple[str, ...] = get_args(Axis)
 """Axes of errors: of the body, of the camera, and across the boresight."""
 
 DEFAULT_LIMITS_DEG = {"roll_deg": 0.025, "pitch_deg": 0.286, "yaw_deg": 0.025}
-"""Limits of a scenario that specifies no error."""
+"""Limits of errors, degrees, of a scenario that specifies none."""
 
 Percent = Annotated[FiniteFloat, Field(gt=0, lt=100)]
 Share = Annotated[FiniteFloat, Field(gt=0, lt=1)]
@@ -79,5 +79,6 @@ class SpecificationSection(Section):
         """The default limits where no error is specified."""
         if not isinstance(values, dict):
             return values
+        # Any specified error replaces all default limits, so that a scenario can omit roll, pitch or yaw.
         named = any(values.get(f"{axis}_deg") is not None for axis in SPECIFIED_AXES) or values.get("errors")
         return values if named else values | DEFAULT_LIMITS_DEG

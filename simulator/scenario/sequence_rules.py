@@ -1,4 +1,4 @@
-"""Contradictions within a scenario's ``sequence`` section."""
+"""Rules of the ``sequence`` section: contradictory keys, and sequences beyond the ephemeris."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from simulator.scenario.errors import Violation, impossible
 
 MOST_FRAMES = 1_000_000
 LARGEST_STEP_DEG = 170.0
-"""Maximum rotation between frames; beyond half a turn two attitudes do not determine its direction."""
+"""Maximum rotation between frames; beyond 180° its direction would be ambiguous."""
 
 
 EPHEMERIS = (datetime(1899, 7, 30, tzinfo=UTC), datetime(2053, 10, 8, tzinfo=UTC))
@@ -28,11 +28,13 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
             yield impossible("sequence.rates", message)
             break
     step_s = v["sequence.step_s"]
+    # Upper limit of the rate: the largest values of its three parts, whatever their directions.
     fastest = math.hypot(*v["pointing.rate_deg_s"])
     fastest += max((math.hypot(p.roll_deg_s, p.pitch_deg_s, p.yaw_deg_s) for p in points), default=0.0)
     if any(v["sequence.slew.turn_deg"]):
         fastest += v["sequence.slew.max_rate_deg_s"]
-    # scenarios without a sequence may rotate at any rate: only values of the section itself are checked
+    # Scenarios that are not run as a sequence may rotate at any rate, so the rule applies only if the section itself
+    # has rates or a slew.
     if fastest * step_s > LARGEST_STEP_DEG and (points or any(v["sequence.slew.turn_deg"])):
         message = f"{step_s:g} s at {fastest:g}°/s is more than {LARGEST_STEP_DEG:g}° per step; use a shorter step"
         yield impossible("sequence.step_s", message)
@@ -49,6 +51,7 @@ def contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
     epoch = v["epoch"]
     span_s = (last - first).total_seconds()
     for key, at_s in (("sequence.start_s", start_s), ("sequence.frames", start_s + frames * step_s)):
+        # The first condition keeps timedelta from overflowing.
         if not abs(at_s) < span_s or not first <= epoch + timedelta(seconds=at_s) <= last - timedelta(days=2):
             yield impossible(key, "the sequence leaves the ephemeris DE421 (1899 to 2053)")
             return

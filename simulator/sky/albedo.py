@@ -17,12 +17,13 @@ _WIDE = {360.0: "u", 436.0: "b", 549.0: "v", 641.0: "r", 798.0: "i"}
 """Bands of the table that correspond to Bessell's passbands (R and I are Cousins'), by effective wavelength, nm."""
 
 _STEPS = 20
+"""Iterations of `_through_means`, more than it needs to converge to rounding."""
 
 
 def body_photons(wavelength_nm: FloatArray, name: str, spectrum: str) -> FloatArray:
     """Photon flux density (W,) of a body of V = 0, photons cm⁻² s⁻¹ nm⁻¹.
 
-    n_λ ∝ n_λ(Sun) p(λ), with p the published albedo (`relative_albedo`); the mean of F_λ over V is that of every
+    n_λ ∝ n_λ(Sun) p(λ), with p the published albedo (`relative_albedo`); the mean of F_λ over V is the same as for a
     star of V = 0.
 
     Parameters
@@ -39,6 +40,7 @@ def body_photons(wavelength_nm: FloatArray, name: str, spectrum: str) -> FloatAr
     def reflected(nm: FloatArray, albedo: FloatArray) -> FloatArray:
         return np.asarray(family(nm, np.array([SOLAR_B_V]), np.zeros(1)) * albedo)
 
+    # The family of spectra is normalised to V = 0, and so the albedo is divided by its own mean over V.
     grid, here = relative_albedo(name, V_GRID_NM), relative_albedo(name, wavelength_nm)
     dimmed = mean_v(V_GRID_NM, reflected(V_GRID_NM, grid)) / mean_v(V_GRID_NM, reflected(V_GRID_NM, np.ones(len(grid))))
     return np.asarray(reflected(wavelength_nm, here)[0] / dimmed[0])
@@ -58,7 +60,7 @@ def relative_albedo(name: str, wavelength_nm: FloatArray) -> FloatArray:
 
 @functools.cache
 def _table() -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Wavelengths and albedos by body."""
+    """Wavelengths (nm) and albedos by name of body."""
     text = (resources.files("simulator.sky") / "data" / "albedo_bodies.csv").read_text(encoding="utf-8")
     rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
     table = {}
@@ -78,6 +80,7 @@ def _through_means(nm: FloatArray, means: FloatArray, wide: list[int]) -> FloatA
     weights = np.array([sunlight * load_curve(f"bessell_{_WIDE[nm[k]]}", "passband")(grid) for k in wide])
     weights /= weights.sum(axis=1, keepdims=True)
     values = means.copy()
+    # Fixed-point iteration: each value is scaled by the ratio of the published mean to the current one.
     for _ in range(_STEPS):
         values[wide] *= means[wide] / (weights @ np.interp(grid, nm, values))
     return values

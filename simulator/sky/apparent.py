@@ -1,7 +1,7 @@
-"""Apparent directions of stars and bodies: light deflection, aberration.
+"""Apparent directions of stars and bodies: light deflection and aberration.
 
-The effects are applied in the order of the light path: space motion of the star, parallax, light deflection, and last
-the aberration.
+The effects are applied in the order of the light path: space motion of the star, parallax, light deflection, and
+finally aberration.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def apparent_directions(catalog: StarCatalog, observer: Observer, sun_au: ArrayL
     Parameters
     ----------
     catalog : StarCatalog
-        Any number of stars; `SkyIndex.apparent` is for those of a field of view.
+        Any number of stars; for the stars of a field of view, `SkyIndex.apparent` is faster.
     observer : Observer
         Epoch, barycentric position and velocity; None omits the corresponding effect.
     sun_au : array_like, shape (3,), or None
@@ -93,8 +93,10 @@ def _apparent(
     """`apparent_directions` of a selection of rows of a catalogue's space motion."""
     position, p = observer.position_au, u.take(rows, axis=0)
     if sky.proper_motion:
+        # The Rømer delay: light passes the observer earlier or later than the barycentre, and the star moves meanwhile.
         roemer = 0.0 if position is None else (p @ position)[:, None] * _AU_LIGHT_TIME_JYEAR
         p += (observer.epoch_jyear - catalog_epoch_jyear + roemer) * motion.take(rows, axis=0)
+    # In units of the distance of the star, the observer is at parallax × position.
     if sky.parallax and position is not None:
         p -= parallax_rad.take(rows)[:, None] * position
     p /= np.sqrt(np.add.reduce(p * p, axis=1, keepdims=True))
@@ -140,6 +142,7 @@ class SkyIndex:
     def __init__(self, catalog: StarCatalog) -> None:
         self.catalog = by_declination(catalog)
         self._u, self._motion = self.catalog.space_motion()
+        # Only the component across the line of sight moves a star on the sky.
         across = self._motion - self._u * np.einsum("ij,ij->i", self._u, self._motion)[:, None]
         self._fastest_rad_yr = float(np.sqrt((across**2).sum(axis=1).max(initial=0.0)))
 
@@ -148,8 +151,8 @@ class SkyIndex:
     ) -> IntArray:
         """Rows of the catalogue that may appear within `radius_rad` of an apparent direction, in ascending order.
 
-        None is missed, but some may be slightly outside: the radius is increased by the largest space motion since the
-        catalogue's epoch, and by `shift_rad`.
+        No star is missed, but some may be slightly outside, because the radius is increased by the largest space motion
+        since the catalogue's epoch and by `shift_rad`.
 
         Parameters
         ----------
@@ -163,14 +166,15 @@ class SkyIndex:
             Upper limit of aberration, deflection and parallax (`largest_shift_rad`); by default 30″.
         """
         years = abs(epoch_jyear - self.catalog.epoch_jyear)
-        # 1.1: perspective acceleration of an approaching star, less than 10 % in a millennium
+        # The factor 1.1 covers the perspective acceleration of an approaching star, below 10 % in a millennium.
         reach = radius_rad + shift_rad + 1.1 * years * self._fastest_rad_yr
-        chord = 2.0 * math.sin(min(reach, math.pi) / 2.0)  # because cos of a small angle loses precision
+        chord = 2.0 * math.sin(min(reach, math.pi) / 2.0)  # the cosine of a small angle would lose precision
         centre = np.asarray(direction, dtype=float)
         dec_rad = math.atan2(centre[2], math.hypot(centre[0], centre[1]))
         zone = (dec_rad - reach - _ROUNDING_RAD, dec_rad + reach + _ROUNDING_RAD)
+        # The catalogue is sorted by declination, so a zone is a slice, and only its stars are tested by their chord,
+        # |u − c|² = 2 − 2 u·c.
         first, last = np.searchsorted(self.catalog.dec_rad, zone).tolist()
-        # |u − c|² = 2 − 2 u·c
         return np.asarray(first + np.flatnonzero(self._u[first:last] @ centre >= 1.0 - 0.5 * chord * chord - 1e-15))
 
     def apparent(self, rows: IntArray, observer: Observer, sun_au: ArrayLike | None, sky: Sky) -> FloatArray:

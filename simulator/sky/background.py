@@ -43,14 +43,15 @@ _LEAST_SHARE = 0.25
 light alone is 10 to 35 % (Leinert et al. 1998, table 39, after Toller 1981)."""
 
 STAR_CONTRAST = 0.8
-"""Power of the measured starlight to which the number of stars is proportional: Tycho-2 (to V = 11.5) has 150, 50 and
-25 stars in a square degree at galactic latitudes 0, ±30° and ±90° (Høg et al. 2000, A&A 355, L27), and the light varies
-by a factor of 9."""
+"""Exponent k of the model (number of stars) ∝ (measured starlight)^k. Tycho-2 (to V = 11.5) has 150, 50 and 25 stars
+per square degree at galactic latitudes 0, ±30° and ±90° (Høg et al. 2000, A&A 355, L27), a factor of 6, while the light
+varies by a factor of 9."""
 
 _GRID_PX = 32
 """Step of the grid on which `background_map` evaluates the sky."""
 
 _LEAST_ELONGATION_DEG = 1.0
+"""Elongation below which the extrapolated zodiacal light is constant."""
 
 
 def sky_brightness_s10(directions: ArrayLike, sun_direction: ArrayLike, sky: Sky) -> FloatArray:
@@ -110,7 +111,7 @@ def background_map(
 
     The sky is evaluated on a grid with a spacing of `grid_px` pixels that includes the last row and column, and
     interpolated bilinearly; the nodes of the tables are 4° and more apart. Pixels without a direction in the lens model
-    use that of the lens without distortion; if that does not exist either, they have no light.
+    use that of the lens without distortion; if it does not exist either, they have no light.
 
     Parameters
     ----------
@@ -124,6 +125,8 @@ def background_map(
     x = np.unique(np.append(np.arange(0, camera.width, grid_px), camera.width - 1)).astype(float)
     y = np.unique(np.append(np.arange(0, camera.height, grid_px), camera.height - 1)).astype(float)
     nodes = np.stack([a.ravel() for a in np.meshgrid(x, y)], axis=1)
+    # A strong distortion may leave corners without a direction; the sky changes so slowly that the lens without
+    # distortion is good enough there.
     seen = camera.unproject(nodes)
     lost = ~np.isfinite(seen).all(axis=1)
     if lost.any():
@@ -132,6 +135,7 @@ def background_map(
     flat = np.zeros(len(nodes))
     flat[known] = sky_brightness_s10(attitude.inverse.apply(seen[known]), sun_direction, sky)
     value = flat.reshape(len(y), len(x))
+    # Bilinear interpolation, first along the rows of the grid, then between them.
     columns = np.arange(camera.width, dtype=float)
     rows = np.arange(camera.height, dtype=float)
     along = np.array([np.interp(columns, x, line) for line in value])
@@ -167,6 +171,7 @@ def zodiacal_s10(directions: ArrayLike, sun_direction: ArrayLike) -> FloatArray:
     sun = ECLIPTIC @ np.asarray(sun_direction, dtype=float)
     longitude, latitude = direction_to_radec(ecliptic)
     sun_longitude = math.atan2(sun[1], sun[0])
+    # The difference of longitudes is wrapped into [−π, π); the table is symmetric about the Sun and the ecliptic.
     apart = np.degrees(np.abs((longitude - sun_longitude + np.pi) % (2.0 * np.pi) - np.pi))
     nodes, latitudes, table = _zodiacal_table()
     value: FloatArray = np.exp(_bilinear(nodes, latitudes, np.log(table), apart, np.degrees(np.abs(latitude))))
@@ -185,6 +190,8 @@ def _near_sun(longitude_deg: float, latitude_deg: float) -> float:
     """Extrapolation of the table towards the Sun; see `zodiacal_s10`."""
     lon, lat = math.radians(longitude_deg), math.radians(latitude_deg)
     elongation = math.degrees(math.acos(math.cos(lon) * math.cos(lat)))
+    # Position angle about the Sun, 0 along the ecliptic. The reciprocal of the brightness at 15° is interpolated
+    # between the ecliptic and the direction above the Sun.
     above = math.atan2(math.sin(lat), math.sin(lon) * math.cos(lat)) if elongation > 0 else 0.0
     at_15 = 1.0 / (math.cos(above) ** 2 / 9000.0 + math.sin(above) ** 2 / 2450.0)
     return float(at_15 * (max(elongation, _LEAST_ELONGATION_DEG) / 15.0) ** -2.2)
@@ -226,8 +233,8 @@ def starlight_s10(
 
 
 def star_contrast(directions: ArrayLike) -> FloatArray:
-    """Number of faint stars (N,) in directions (N, 3) relative to its mean over the sky: the measured starlight to the
-    power of `STAR_CONTRAST`."""
+    """Density of faint stars (N,) in directions (N, 3) relative to the mean over the sky: the measured starlight to the
+    power of `STAR_CONTRAST`, normalised."""
     ra, dec = direction_to_radec(np.atleast_2d(np.asarray(directions, dtype=float)))
     return _bilinear(*_contrast_table(), np.degrees(ra), np.degrees(dec))
 
@@ -236,15 +243,18 @@ def star_contrast(directions: ArrayLike) -> FloatArray:
 def _contrast_table() -> tuple[FloatArray, FloatArray, FloatArray]:
     ra, dec, measured = _pioneer()
     ra, dec, table = _closed(ra, dec, measured**STAR_CONTRAST)
-    sines, longitudes = np.linspace(-1.0, 1.0, 361), np.arange(0.0, 360.0, 2.0)  # of equal areas
+    # Points of equal areas are equidistant in the sine of the declination; their plain mean is that over the sky.
+    sines, longitudes = np.linspace(-1.0, 1.0, 361), np.arange(0.0, 360.0, 2.0)
     even = np.meshgrid(longitudes, np.degrees(np.arcsin(0.5 * (sines[1:] + sines[:-1]))))
     return ra, dec, table / _bilinear(ra, dec, table, even[0].ravel(), even[1].ravel()).mean()
 
 
 @functools.lru_cache(maxsize=8)
 def _starlight_table(catalog: str, limit: float, faint: float | None) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The map minus the rendered stars."""
+    """The map minus the light of the stars that are rendered."""
     ra, dec, measured = _pioneer()
+    # The map contains the stars fainter than 6.5. Rendered ones among them are subtracted; with a brighter limit the
+    # stars between the limit and 6.5, which are in neither, are added.
     drawn = _catalog_light(catalog, min(limit, PIONEER_LIMIT_V), max(limit, PIONEER_LIMIT_V), ra, dec)
     if limit <= PIONEER_LIMIT_V:
         drawn = -drawn
@@ -255,7 +265,7 @@ def _starlight_table(catalog: str, limit: float, faint: float | None) -> tuple[F
 
 
 def _closed(ra: FloatArray, dec: FloatArray, table: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A map extended by the poles and by the first meridian at 360°."""
+    """A map extended by both poles and by the meridian 360°, so that it can be interpolated everywhere."""
     ends = [np.full(len(ra), table[:, k].mean()) for k in (0, -1)]
     table = np.column_stack([ends[0], table, ends[1]])
     return np.append(ra, 360.0), np.concatenate([[-90.0], dec, [90.0]]), np.vstack([table, table[:1]])
@@ -270,6 +280,8 @@ def _pioneer() -> tuple[FloatArray, FloatArray, FloatArray]:
     from_anticentre, height = np.abs(longitude - 180.0), np.abs(latitude)
     flat = table.ravel()
     known = ~np.isnan(flat)
+    # A gap gets the mean of all nodes, weighted by a Gaussian of 4° in galactic latitude and 20° in longitude, both
+    # folded by the symmetry of the Galaxy about its plane and its centre.
     for k in np.flatnonzero(~known):
         nearness = np.exp(
             -0.5 * ((height[known] - height[k]) / 4.0) ** 2
@@ -288,6 +300,7 @@ def _catalog_light(catalog: str, brightest: float, faintest: float, ra: FloatArr
     stars = stars.select(rows)
     light = 10.0 ** (-0.4 * (stars.v_mag - 10.0))
     tree = cKDTree(stars.directions(2000.0))
+    # The radius of the cap as a chord between unit vectors; the light is divided by the cap's area in square degrees.
     caps = tree.query_ball_point(_node_directions(ra, dec), 2.0 * math.sin(math.radians(_CAP_DEG) / 2.0))
     square_degrees = 2.0 * math.pi * (1.0 - math.cos(math.radians(_CAP_DEG))) / math.radians(1.0) ** 2
     return np.array([light[cap].sum() for cap in caps]).reshape(len(ra), len(dec)) / square_degrees
@@ -308,6 +321,7 @@ def _read(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _bilinear(x_nodes: FloatArray, y_nodes: FloatArray, table: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    # Cells (i, j) of the table and the fractions (s, t) within them; points beyond the nodes are extrapolated.
     i = np.clip(np.searchsorted(x_nodes, x, side="right") - 1, 0, len(x_nodes) - 2)
     j = np.clip(np.searchsorted(y_nodes, y, side="right") - 1, 0, len(y_nodes) - 2)
     s = (x - x_nodes[i]) / (x_nodes[i + 1] - x_nodes[i])

@@ -1,4 +1,4 @@
-"""Errors of the tracker's catalogue against the sky."""
+"""Errors of the tracker's star catalogue relative to the simulated sky."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class CatalogueErrors:
 def with_errors(catalog: StarCatalog, errors: CatalogueErrors, rng: np.random.Generator) -> StarCatalog:
     """The catalogue with Gaussian errors; the same object if there are none.
 
-    The errors of a star depend on the stream and on its number alone, and not on the other stars of the catalogue.
+    The errors of a star depend only on the stream and on its number, not on the other stars of the catalogue.
 
     Parameters
     ----------
@@ -45,11 +45,13 @@ def with_errors(catalog: StarCatalog, errors: CatalogueErrors, rng: np.random.Ge
     errors : CatalogueErrors
         Standard deviations.
     rng : Generator
-        Random stream, of which one word is used.
+        Random stream; one 64-bit integer is drawn from it.
     """
     if errors.position_mas == errors.proper_motion_mas_yr == 0.0:
         return catalog
     east, north, pm_east, pm_north = _normal(catalog.id, rng.integers(2**64, dtype=np.uint64))
+    # The error towards the east is an angle on the sky, which is 1/cos δ times as large in right ascension; the
+    # catalogue's proper motion in right ascension contains cos δ already.
     at, per_year = errors.position_mas * MAS_RAD, errors.proper_motion_mas_yr * MAS_RAD
     return replace(
         catalog,
@@ -62,14 +64,20 @@ def with_errors(catalog: StarCatalog, errors: CatalogueErrors, rng: np.random.Ge
 
 
 def _normal(number: NDArray[np.int64], key: np.uint64) -> FloatArray:
-    """Gaussian deviates (4, N) of stars by their numbers: the words of SplitMix64 (Steele, Lea & Flood 2014, OOPSLA) at
-    counters of the key and the number, and the inverse of the normal distribution."""
+    """Gaussian deviates (4, N) of stars by their numbers.
+
+    Counters are hashed with the key by SplitMix64 (Steele, Lea & Flood 2014, OOPSLA), and the uniform deviates are
+    transformed by the inverse of the normal distribution.
+    """
     counter = number.astype(np.uint64) * np.uint64(_DEVIATES) + np.arange(_DEVIATES, dtype=np.uint64)[:, None]
+    # The inner mixing decorrelates the consecutive numbers of stars before the key is added. The top 53 bits plus one
+    # half give a deviate strictly between 0 and 1, where the inverse is finite.
     word = _mixed(_mixed(counter * _GOLDEN) + key)
     return np.asarray(ndtri(((word >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53))
 
 
 def _mixed(word: Words) -> Words:
+    """SplitMix64's finaliser."""
     word = (word ^ (word >> np.uint64(30))) * _MIX_1
     word = (word ^ (word >> np.uint64(27))) * _MIX_2
     return np.asarray(word ^ (word >> np.uint64(31)))

@@ -1,4 +1,4 @@
-"""From a catalogue's B−V and spectral type to the coordinates of a spectrum."""
+"""Conversion of a catalogue's B−V and spectral type to the coordinates by which a spectrum is chosen."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ def parse_type(spectral_type: str) -> tuple[str, float, str]:
     if found is None:
         return "", math.nan, ""
     subtype = float(found[2]) if found[2] else math.nan
+    # The luminosity class follows the type. A class in the suffix takes precedence over the prefix of old catalogues.
     named = _CLASS.search(text, found.end())
     if named is not None:
         luminosity = named[1]
@@ -76,6 +77,7 @@ def spectral_coordinates(b_v: FloatArray, spectral_type: NDArray[np.str_]) -> tu
     """
     colour = np.array(b_v, dtype=float)
     share = np.full(len(colour), math.nan)
+    # A catalogue has far fewer different types than stars, so each type is parsed once.
     typed = np.flatnonzero(spectral_type != "")
     texts, index = np.unique(np.asarray(spectral_type[typed], dtype=str), return_inverse=True)
     for i, text in enumerate(texts):
@@ -83,7 +85,8 @@ def spectral_coordinates(b_v: FloatArray, spectral_type: NDArray[np.str_]) -> tu
         if not letter:
             continue
         rows = typed[index == i]
-        giant = luminosity in _GIANTS or (not luminosity and letter in "MCSNR")  # a bright M star is a giant
+        # M dwarfs are so faint that a catalogue star of type M (or C, S, N, R) without a class is a giant.
+        giant = luminosity in _GIANTS or (not luminosity and letter in "MCSNR")
         if giant or luminosity in _DWARFS:
             share[rows] = float(giant)
         if giant and letter == "M" and not math.isnan(subtype):

@@ -16,10 +16,10 @@ from simulator.constants import EARTH_RADIUS_KM
 from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
+from startracker._compiled import kernel, kernel_part
 from startracker.core import BoolArray, FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel_part, pixel_kernel
 
 if TYPE_CHECKING:
     from simulator.sky.parameters import Sky
@@ -36,15 +36,15 @@ RAYLEIGH_DEPTH = 0.098
 Travis 1974 (Space Sci. Rev. 16, 527) 0.0978."""
 
 ATMOSPHERE_TOP_KM = 180.0
-"""Top of the limb, which is fainter than 1 S10 above."""
+"""Altitude above which the limb is fainter than 1 S10 and is not rendered."""
 
 _AIR_MASSES = math.sqrt(2.0 * math.pi * EARTH_RADIUS_KM / SCALE_HEIGHT_KM)
 """Ratio of the optical depth of a grazing ray to the vertical one: Chapman's √(2πR/H) = 75.1."""
 
 
 def has_disk(sky: Sky, r_km: ArrayLike) -> bool:
-    """Whether the Earth is rendered with surface and limb: not if `Sky.earth` is off, nor where it is one of the bodies
-    (`simulator.sky.solar_system.EARTH_DISK_KM`)."""
+    """Whether the Earth is rendered with surface and limb. It is not if `Sky.earth` is off, nor beyond
+    `simulator.sky.solar_system.EARTH_DISK_KM`, where it is one of the bodies."""
     return sky.earth and math.hypot(*np.asarray(r_km, dtype=float).tolist()) < EARTH_DISK_KM
 
 
@@ -89,12 +89,12 @@ def limbs(directions: ArrayLike, radius_rad: ArrayLike, r_km: ArrayLike) -> tupl
     Returns
     -------
     offset, curvature : (N,) arrays
-        (D − ρ)/a and a cot ρ: from 1 the disk is free, up to −1 it is occulted.
+        (D − ρ)/a and a cot ρ. The disk is free if the offset is 1 or more, and occulted if it is −1 or less.
     """
     r = np.asarray(r_km, dtype=float)
     radius = np.maximum(np.asarray(radius_rad, dtype=float), 1e-9)
     horizon = angular_radius_rad(r)
-    away = np.arccos(np.clip(np.atleast_2d(directions) @ (r / -math.hypot(*r.tolist())), -1.0, 1.0))
+    away = np.arccos(np.clip(np.atleast_2d(directions) @ (r / -math.hypot(*r.tolist())), -1.0, 1.0))  # from the nadir
     return (away - horizon) / radius, radius * math.cos(horizon) / math.sin(horizon)
 
 
@@ -107,6 +107,7 @@ def unhidden(bodies: Bodies, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
     if not has_disk(sky, r_km) or not len(bodies):
         return np.ones(len(bodies))
     offset, curvature = limbs(bodies.direction, bodies.angular_radius_rad, r_km)
+    # Only a disk that the limb crosses needs the integral over its brightness.
     share = (offset > 0.0).astype(float)
     nadir = -np.asarray(r_km, dtype=float)
     for k in np.flatnonzero(np.abs(offset) < 1.0):
@@ -124,7 +125,7 @@ def _angle_at(centre: FloatArray, one: FloatArray, other: FloatArray) -> float:
 
 
 def earth_in_field(camera: Camera, attitude: Attitude, r_km: ArrayLike) -> bool:
-    """Whether the Earth with its atmosphere may overlap the image (or its circumscribed circle)."""
+    """Whether the Earth with its atmosphere may overlap the circle about the image."""
     r = np.asarray(r_km, dtype=float)
     distance = math.hypot(*r.tolist())
     nadir = min(max(float(attitude.boresight @ r) / -distance, -1.0), 1.0)
@@ -135,9 +136,9 @@ def earth_in_field(camera: Camera, attitude: Attitude, r_km: ArrayLike) -> bool:
 def earth_s10(directions: ArrayLike, r_km: ArrayLike, sun_direction: ArrayLike, albedo: float = 0.3) -> FloatArray:
     """Brightness (N,) of the Earth, S10; 0 on its dark side and for lines of sight that do not meet it.
 
-    On the disk Lambert's law, L = A E cos θ/π, with the Sun's zenith distance θ at the ground and the Sun's light E at
-    1 au (the Sun's V = −26.74 spread over a steradian: `SUN_S10_SR`). Above the limb sunlight scattered once by
-    molecules, L = E P(Θ)/4π · (1 − e^−τ) · e^−τ_s, with the Rayleigh phase function P = ¾(1 + cos² Θ), the optical
+    The disk follows Lambert's law, L = A E cos θ/π, with the Sun's zenith distance θ at the ground and the Sun's light
+    E at 1 au (the Sun's V = −26.74 spread over a steradian: `SUN_S10_SR`). Above the limb, sunlight is scattered once
+    by molecules, L = E P(Θ)/4π · (1 − e^−τ) · e^−τ_s, with the Rayleigh phase function P = ¾(1 + cos² Θ), the optical
     depth τ = τ₀ √(2πR/H) e^−h/H along the line of sight with tangent height h, and that from the Sun to the tangent
     point, τ_s. If the Sun is above the horizon, τ_s = τ₀ e^−h/H X(cos θ), X(c) = 1/(c + 0.0266 e^−11c) (Rozenberg
     1966, with his 0.025 adapted to our scale height). If it is below, τ_s is that of the whole grazing ray minus
@@ -171,7 +172,7 @@ def earth_s10(directions: ArrayLike, r_km: ArrayLike, sun_direction: ArrayLike, 
 def earth_radiance_map(
     camera: Camera, attitude: Attitude, r_km: ArrayLike, sun_direction: ArrayLike, sky: Sky
 ) -> tuple[FloatArray, BoolArray] | None:
-    """The Earth in every pixel; None if it is not in the field, or `earth` is off.
+    """Brightness of the Earth in every pixel; None if it is not in the field, or `earth` is off.
 
     Sampled at pixel centres. Smear is neglected, as the limb does not move for a camera in local-level attitude; light
     scattered out of the disk by the optics is in `simulator.optics.stray_light`.
@@ -204,7 +205,7 @@ def earth_radiance_map(
 def stray_sources(
     bodies: Bodies, r_km: ArrayLike, sky: Sky, rings: int = 24, sectors: int = 48
 ) -> tuple[NDArray[np.str_], FloatArray, FloatArray]:
-    """Sources of stray light: Sun, Moon, and the lit Earth in elements.
+    """Sources of stray light: Sun, Moon, and elements of the lit Earth.
 
     The visible part of the Earth is divided into elements of equal solid angle about the nadir, each a point of
     V = −2.5 log₁₀(L Ω) + 10 with L in S10 and Ω in square degrees. Sun and Moon are omitted while the Earth occults
@@ -233,6 +234,7 @@ def stray_sources(
     share = unhidden(sources, r_km, bodies.direction[sun[0]] if len(sun) else np.zeros(3), sky)
     free = np.flatnonzero(share > 0.0)
     names, directions = sources.name[free], sources.direction[free]
+    # A partly hidden source has the magnitude of its free part, and so has each element of the Earth that of its light.
     v_mag = sources.v_mag[free] - 2.5 * np.log10(share[free])
     if sky.earth and len(sun):
         pieces, square_degrees = _pieces(np.asarray(r_km, dtype=float), rings, sectors)
@@ -248,9 +250,11 @@ def _pieces(r_km: FloatArray, rings: int, sectors: int) -> tuple[FloatArray, flo
     """Directions (rings × sectors, 3) over the Earth's disk with equal solid angles, and that solid angle in deg²."""
     nadir = -r_km / np.linalg.norm(r_km)
     span = 1.0 - math.cos(angular_radius_rad(r_km))
+    # Equal steps of the cosine of the angle from the nadir are equal solid angles.
     cosine = 1.0 - span * (np.arange(rings) + 0.5) / rings
     sine = np.sqrt(1.0 - cosine**2)
     azimuth = (np.arange(sectors) + 0.5) * 2.0 * math.pi / sectors
+    # Any two axes across the nadir; the unit vector farthest from it gives the first without loss of precision.
     across = np.cross(nadir, np.eye(3)[int(np.argmin(np.abs(nadir)))])
     across /= np.linalg.norm(across)
     along = np.cross(nadir, across)
@@ -259,7 +263,7 @@ def _pieces(r_km: FloatArray, rings: int, sectors: int) -> tuple[FloatArray, flo
     return pieces.reshape(-1, 3), 2.0 * math.pi * span / (rings * sectors) / math.radians(1.0) ** 2
 
 
-@pixel_kernel
+@kernel
 def _radiance(
     out: FloatArray, lines: FloatArray, r: FloatArray, sun: FloatArray, albedo: float, sun_s10: float
 ) -> None:
@@ -269,10 +273,11 @@ def _radiance(
     for n in range(len(lines)):
         dx, dy, dz = lines[n, 0], lines[n, 1], lines[n, 2]
         along = -(r[0] * dx + r[1] * dy + r[2] * dz)  # distance to the point closest to the Earth's centre
-        nearest = math.sqrt(max(square - along * along, 0.0))
+        nearest = math.sqrt(max(square - along * along, 0.0))  # its distance from the centre
         if not along > 0.0 or nearest > radius + ATMOSPHERE_TOP_KM:  # behind the observer, no intersection, or NaN
             out[n] = 0.0
             continue
+        # The point of scattering is on the ground if the line of sight meets it, otherwise the tangent point.
         distance = along - math.sqrt(radius * radius - nearest * nearest) if nearest < radius else along
         scale = 1.0 / max(nearest, radius)
         cosine = scale * (
@@ -281,9 +286,13 @@ def _radiance(
         if nearest < radius:
             out[n] = sun_s10 * albedo * max(cosine, 0.0) / math.pi
             continue
+        # Density at the tangent point relative to the ground, and the optical depth from the Sun to it in units of the
+        # vertical depth at the ground.
         thinning = math.exp(-(nearest - radius) / SCALE_HEIGHT_KM)
         way_in = thinning * _air_mass(abs(cosine))
         if cosine < 0.0:
+            # The Sun is below the local horizon: its rays have passed a lowest point before this one. The depth is that
+            # of the whole grazing ray minus the part behind the point.
             grazing = nearest * math.sqrt(max(1.0 - cosine * cosine, 0.0)) - radius
             if grazing < 0.0:
                 out[n] = 0.0
@@ -297,5 +306,8 @@ def _radiance(
 
 @kernel_part
 def _air_mass(cosine: float) -> float:
-    """Air mass above a point at a zenith distance, relative to the vertical; half of the line of sight at 90°."""
+    """Optical depth above a point towards a zenith distance, relative to the vertical (Rozenberg 1966).
+
+    The constant is adapted so that the air mass at 90° is half of that of a grazing line of sight.
+    """
     return 1.0 / (cosine + 2.0 / _AIR_MASSES * math.exp(-11.0 * cosine))

@@ -52,6 +52,7 @@ def barycentric_state(
         If a date is outside DE421 (1899 to 2053).
     """
     earth = barycentric("Earth", sky_time(clock, t_s))
+    # Skyfield's arrays have the components first; the transpose has shape (3,) or (N, 3).
     position_au = earth.xyz.au.T + np.asarray(r_km, dtype=float) / AU_KM
     return position_au, earth.velocity.km_per_s.T + np.asarray(v_km_s, dtype=float)
 

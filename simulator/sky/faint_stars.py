@@ -1,8 +1,9 @@
-"""Faint stars beyond the catalogue: a statistical sky, always the same for one seed.
+"""Synthetic stars fainter than the catalogue's limit; the same sky for the same seed.
 
-The sphere is divided into cells of about 4° × 4° in bands of declination. Each has a Poisson number of stars from its
-own random stream, uniformly distributed, with the magnitudes of the whole sky (`star_counts`) and the density of its
-centre (`background.star_contrast`). They are point sources without names: part of the background, not of the truth.
+The sphere is divided into cells of about 4° × 4° in bands of declination. Each cell has a Poisson-distributed number of
+stars from its own random stream, uniformly distributed over the cell, with the magnitude distribution of the whole sky
+(`star_counts`) and the density at its centre (`background.star_contrast`). The stars have no names and belong to the
+background, not to the truth.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from startracker.geometry.attitude import radec_to_direction
 
 _BAND_DEG = 4.0
 _CELLS_KEPT = 512
-"""Cells around the path of a boresight over a year at a constant declination, for a field of 13°."""
+"""Size of the cache of cells: those around the path of a boresight over a year at a constant declination, for a field
+of 13°."""
 
 
 class StarField(NamedTuple):
-    """Stars by direction."""
+    """Directions and magnitudes of stars."""
 
     direction: FloatArray
     """(N, 3): Unit vectors, ICRS, without aberration."""
@@ -51,6 +53,7 @@ class FaintSky:
         self._edges = _cells()
         middle = 0.5 * (self._edges[:, [0, 2]] + self._edges[:, [1, 3]])
         self._centres = radec_to_direction(middle[:, 0], np.arcsin(middle[:, 1]))
+        # A cell is within the distance of its farthest corner from its centre.
         corners = radec_to_direction(self._edges[:, [0, 0, 1, 1]], np.arcsin(self._edges[:, [2, 3, 2, 3]]))
         self._reach_rad = np.arccos(np.einsum("cki,ci->ck", corners, self._centres).min(axis=1))
         density = count_between(brightest, faintest) * star_contrast(self._centres)
@@ -58,8 +61,8 @@ class FaintSky:
         self.cell = functools.lru_cache(maxsize=_CELLS_KEPT)(self._drawn)
 
     def near(self, direction: ArrayLike, radius_rad: float, shift_rad: float = 30.0 * ARCSEC_RAD) -> StarField:
-        """Stars within a radius of an apparent direction (3,), and some that aberration, up to `shift_rad`, may bring
-        there."""
+        """Stars within a radius of an apparent direction (3,), enlarged by `shift_rad`, the upper limit of
+        aberration."""
         centre = np.asarray(direction, dtype=float)
         reach_rad = min(radius_rad + shift_rad, math.pi)
         away_rad = np.arccos(np.clip(self._centres @ centre, -1.0, 1.0))
@@ -69,10 +72,11 @@ class FaintSky:
         return StarField(found[:, :3].copy(), draw_magnitudes(found[:, 3], self.brightest, self.faintest))
 
     def _drawn(self, number: int) -> FloatArray:
-        """Directions and shares of the counts by magnitude (N, 4) of a cell's stars."""
+        """Stars of a cell, (N, 4): unit vector, and a uniform deviate that `draw_magnitudes` maps to a magnitude."""
         rng = stream(self.seed, "faint stars", number)
         count = int(rng.poisson(self._mean_count[number]))
         right, up, share = rng.random((3, count))
+        # Points uniform in right ascension and in the sine of the declination are uniform on the sphere.
         west, east, south, north = self._edges[number].tolist()
         ra_rad, z = west + right * (east - west), south + up * (north - south)
         across = np.sqrt(1.0 - z * z)
@@ -89,6 +93,7 @@ def _cells() -> FloatArray:
         count = max(3, round(360.0 * widest / _BAND_DEG))
         ra = np.linspace(0.0, 2.0 * math.pi, count + 1)
         sines = np.broadcast_to([math.sin(south), math.sin(north)], (count, 2))
+        # At the wider edge of a band its cells are about as wide as the band is high.
         cells.append(np.column_stack([ra[:-1], ra[1:], sines]))
     return np.concatenate(cells)
 

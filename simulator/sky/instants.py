@@ -1,4 +1,4 @@
-"""A block of instants of a mission: positions of the spacecraft, the Sun, the Moon and the planets, as arrays."""
+"""Ephemerides of the spacecraft, the Sun, the Moon and the planets at a block of instants, as arrays."""
 
 from __future__ import annotations
 
@@ -39,32 +39,36 @@ class Instant:
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """Ephemerides of a mission at T instants, computed together: Skyfield and ERFA take about 50 µs per instant in a
-    block, and milliseconds for a single one."""
+    """Ephemerides of a mission at T instants, computed together, because Skyfield and ERFA take about 50 µs per instant
+    of a block but milliseconds for a single one."""
 
     t_s: FloatArray
     """(T,): Seconds after the epoch."""
     epoch_jyear: FloatArray
     """(T,): Julian epochs, TT."""
     r_km: FloatArray
+    """(T, 3): Geocentric position, GCRS."""
     v_km_s: FloatArray
-    """(T, 3): Geocentric state, GCRS."""
+    """(T, 3): Geocentric velocity, GCRS."""
     r_centre_km: FloatArray
+    """(T, 3): Position relative to the centre of the trajectory, to which the local level refers; identical to `r_km`
+    for an orbit around the Earth."""
     v_centre_km_s: FloatArray
-    """(T, 3): State relative to the centre of the trajectory, to which the local level refers; the same around the
-    Earth."""
+    """(T, 3): Velocity relative to that centre."""
     position_au: FloatArray
+    """(T, 3): Barycentric position, ICRS."""
     velocity_km_s: FloatArray
-    """(T, 3): Barycentric state, ICRS."""
+    """(T, 3): Barycentric velocity, ICRS."""
     sun_au: FloatArray
     """(T, 3): Barycentric position of the Sun."""
     bodies: Bodies
-    """Bodies at T instants."""
+    """Sun, Moon and planets, with a leading axis of T."""
     orbit_argument_deg: FloatArray
     """(T,): Argument of latitude: from the true equator of date around the Earth, otherwise from the ecliptic."""
     latitude_deg: FloatArray
+    """(T,): Geodetic latitude of the point below the spacecraft."""
     longitude_deg: FloatArray
-    """(T,): Ground track: geodetic latitude, east longitude in [−180, 180]."""
+    """(T,): East longitude of that point, in [−180, 180]."""
     sunlit: NDArray[np.bool_]
     """(T,): Whether the spacecraft is outside the shadow of the Earth and of the trajectory's centre."""
 
@@ -76,6 +80,7 @@ class Instants:
         r_km, v_km_s = from_earth(orbit, t_s, *centred)
         position_au, velocity_km_s = barycentric_state(clock, t_s, r_km, v_km_s)
         sun_au = sun_position_au(clock, t_s)
+        # Arguments of latitude refer to the plane in which orbits around the centre are usually described.
         plane = "equator_of_date" if orbit.centre == "Earth" else "ecliptic"
         return cls(
             t_s,
@@ -93,7 +98,8 @@ class Instants:
         )
 
     def _bodies_at(self, k: int) -> Bodies:
-        """Bodies at instant `k`, without the Earth where it is near."""
+        """Bodies at instant `k`."""
+        # In a block the Earth is included at every instant if it is far at any; near it is rendered by `sky.earth`.
         bodies = self.bodies.at(k)
         earth = bodies.name == "Earth"
         return bodies if not earth.any() or is_far(self.r_km[k] / AU_KM) else bodies.select(np.flatnonzero(~earth))
@@ -117,11 +123,12 @@ class Instants:
 
 
 def _in_shadow(centre: str, r_km: FloatArray, to_sun_km: FloatArray) -> NDArray[np.bool_]:
-    """Whether the centre of a trajectory, other than Sun and Earth, as a sphere hides the centre of the Sun from
-    positions (T, 3) relative to it."""
+    """Whether the central body of a trajectory, a sphere, hides the centre of the Sun from positions (T, 3) relative to
+    it; False for the Sun itself and for the Earth, which `is_sunlit` treats."""
     if centre in ("Earth", "Sun") or centre not in RADIUS_KM:
         return np.zeros(len(r_km), dtype=bool)
     sun = to_sun_km / np.linalg.norm(to_sun_km, axis=-1, keepdims=True)
+    # In shadow, the ray towards the Sun passes the centre ahead (`along` > 0) at less than the radius.
     along = -np.sum(r_km * sun, axis=-1)
     passes = np.linalg.norm(r_km + along[:, None] * sun, axis=-1)
     return np.asarray((along > 0.0) & (passes < RADIUS_KM[centre]))

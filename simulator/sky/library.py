@@ -54,12 +54,16 @@ _STEP_NM = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """Spectra ordered by one coordinate: photon flux densities (T, W) up to a factor, `key` (T,) ascending."""
+    """Spectra of T types ordered by one coordinate."""
 
     key: FloatArray
+    """(T,): The coordinate, B−V or a subtype, ascending."""
     wavelength_nm: FloatArray
+    """(W,): Wavelengths."""
     photons: FloatArray
+    """(T, W): Photon flux densities, up to a factor."""
     types: tuple[str, ...]
+    """Spectral types."""
 
 
 @functools.cache
@@ -75,6 +79,7 @@ def library() -> tuple[FloatArray, dict[str, FloatArray]]:
     lines = _lines("pickles1998.csv")
     table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
     spectra = dict(zip(lines[0].split(",")[1:], table[:, 1:].T, strict=True))
+    # The geometric mean is the mean in magnitudes, in which spectra are interpolated between types as well.
     for between, (one, other) in _BETWEEN.items():
         spectra[between] = np.sqrt(spectra[one] * spectra[other])
     return table[:, 0], spectra
@@ -92,6 +97,7 @@ def sequence(name: str) -> Sequence:
     else:
         chosen = [(float(t[1]), t, giants[t]) for t in ANCHORS_LATE]
     wavelength_nm, spectra = library()
+    # F_λ λ is proportional to the number of photons.
     photons = [with_colours(wavelength_nm, spectra[t], colours) * wavelength_nm for _, t, colours in chosen]
     return Sequence(
         np.array([key for key, *_ in chosen]), wavelength_nm, np.array(photons), tuple(c[1] for c in chosen)
@@ -128,7 +134,7 @@ def with_colours(wavelength_nm: FloatArray, f_lambda: FloatArray, colours: dict[
     target = np.array([colours[name] for name in COLOURS])
     wanted = np.isfinite(target)
     nodes = np.log([EFFECTIVE_NM[b] for b in "ubvri"])
-    used = np.array([True, True, True, wanted[2], True])
+    used = np.array([True, True, True, wanted[2], True])  # without V−R there is no node in R
     x = np.clip(np.log(wavelength_nm), nodes[0], nodes[-1])
     step = np.zeros(4)  # −2.5 log₁₀ c of U, B, R, I
     for _ in range(60):
@@ -137,7 +143,8 @@ def with_colours(wavelength_nm: FloatArray, f_lambda: FloatArray, colours: dict[
         miss = np.where(wanted, target - synthetic_colours(wavelength_nm, f_lambda * curve), 0.0)
         if np.abs(miss).max() < 1e-7:
             break
-        # u−b, b−v, v−r, v−i → u, b, r, i
+        # In narrow bands the curve changes each magnitude by its own value, and V is fixed. The misses of the colours
+        # u−b, b−v, v−r and v−i then give the changes of u, b, r and i.
         step += [miss[0] + miss[1], miss[1], -miss[2], -miss[3]]
     return np.asarray(f_lambda * curve)
 

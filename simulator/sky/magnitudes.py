@@ -70,6 +70,7 @@ def planet_v(name: str, from_sun_au: FloatArray, from_observer_au: FloatArray, e
     """
     r, delta = np.linalg.norm(from_sun_au, axis=-1), np.linalg.norm(from_observer_au, axis=-1)
     sun_ray, sight = from_sun_au / r[..., None], from_observer_au / delta[..., None]
+    # The phase angle is that between the ray from the Sun and the line of sight; atan2 is accurate at all angles.
     sine = np.linalg.norm(np.cross(sun_ray, sight), axis=-1)
     alpha = np.degrees(np.arctan2(sine, np.sum(sun_ray * sight, axis=-1)))
     if name in _PHASE_CURVES:
@@ -89,7 +90,8 @@ def _polynomial(alpha: FloatArray, coefficients: tuple[float, ...]) -> FloatArra
 
 
 def _latitude(pole: FloatArray, ray: FloatArray) -> FloatArray:
-    """Planetocentric latitude, degrees, of the subpoint of a source whose rays have the direction `ray` (..., 3)."""
+    """Planetocentric latitude, degrees, of the point from which a source is in the zenith; `ray` (..., 3) is the
+    direction from the source to the planet."""
     return np.asarray(np.degrees(np.arcsin(-np.sum(pole * ray, axis=-1))))
 
 
@@ -124,11 +126,14 @@ _PHASE_CURVES = {"Mercury": _mercury, "Venus": _venus, "Earth": _earth, "Mars": 
 
 
 def _saturn(alpha: FloatArray, sun_latitude: FloatArray, latitude: FloatArray) -> FloatArray:  # eq. 10, globe and rings
+    # The rings are seen lit only if Sun and observer are on the same side of them; the effective latitude is the
+    # geometric mean of both.
     sine = np.sin(np.radians(np.sqrt(np.maximum(sun_latitude * latitude, 0.0))))
     return np.asarray(-8.914 - 1.825 * sine + 0.026 * alpha - 0.378 * sine * np.exp(-2.25 * alpha))
 
 
 def _uranus(alpha: FloatArray, sun_latitude: FloatArray, latitude: FloatArray) -> FloatArray:  # eq. 13 to 15
+    # The paper's latitude is the mean of the absolute planetographic sub-solar and sub-observer latitudes.
     mean_latitude = (_planetographic(sun_latitude) + _planetographic(latitude)) / 2.0
     phase = np.where(alpha > 3.1, _polynomial(alpha, (0.0, 6.587e-3, 1.045e-4)), 0.0)
     return np.asarray(-7.110 - 0.00084 * mean_latitude + phase)

@@ -16,14 +16,14 @@ class MonotoneCubic:
     The slope at a point is the weighted harmonic mean of those of the adjacent intervals, and 0 at an extremum; at the
     ends it is that of the parabola through three points, limited to avoid overshoot (Fritsch & Butland 1984, SIAM J.
     Sci. Stat. Comput. 5, 300; Moler 2004, *Numerical Computing with MATLAB*, section 3.6). Equivalent to SciPy's
-    `PchipInterpolator`, whose package takes 13 MB and a tenth of a second to import."""
+    `PchipInterpolator`, whose import takes 13 MB and a tenth of a second."""
 
     x: FloatArray
     """(N,): Ascending, at least three."""
     y: FloatArray
     """(N,): Values; each column is a separate curve."""
     slope: FloatArray
-    """From `through`."""
+    """Slopes at the points, of the shape of `y`."""
 
     @classmethod
     def through(cls, x: FloatArray, y: FloatArray) -> MonotoneCubic:
@@ -33,6 +33,7 @@ class MonotoneCubic:
         slope = np.zeros(y.shape)
         left, right = 2.0 * h[1:] + h[:-1], h[1:] + 2.0 * h[:-1]
         same_way = m[:-1] * m[1:] > 0.0
+        # The replaced slopes only avoid a division by zero; at an extremum the slope is 0 in any case.
         mean = left / np.where(same_way, m[:-1], 1.0) + right / np.where(same_way, m[1:], 1.0)
         slope[1:-1] = np.where(same_way, (left + right) / mean, 0.0)
         slope[0], slope[-1] = _end(h[0], h[1], m[0], m[1]), _end(h[-1], h[-2], m[-1], m[-2])

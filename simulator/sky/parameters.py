@@ -9,7 +9,7 @@ from startracker.display import changed_fields
 
 @dataclass(frozen=True)
 class SatelliteSize:
-    """Size or brightness of one satellite of the list; null: as for all."""
+    """Size or brightness of one satellite of the list; null: the value for all satellites."""
 
     object: str | int
     """Its name or catalogue number."""
@@ -34,11 +34,11 @@ class SatelliteParameters:
     """Their albedo: fraction of the sunlight that is scattered. 0.175 is the mean of debris (Mulrooney et al. 2008,
     AMOS)."""
     standard_magnitude: float | None = None
-    """V at a distance of 1000 km and a phase angle of 90°, in place of that by diameter and albedo."""
+    """V at a distance of 1000 km and a phase angle of 90°; null: calculated from diameter and albedo."""
     objects: tuple[SatelliteSize, ...] = ()
     """Satellites with a size or brightness of their own."""
     max_age_days: float = 30.0
-    """Longest time between the epoch of elements and a frame; the error of SGP4 grows by some km a day."""
+    """Longest time between the epoch of elements and a frame; the error of SGP4 grows by some km per day."""
 
     __repr__ = changed_fields
 

@@ -20,10 +20,11 @@ from startracker.settings.registry import lookup
 
 _Tables = tuple[FloatArray, FloatArray, FloatArray]
 
+# Steps at which linear interpolation of the tables has a relative error below 1e-4.
 _B_V_GRID = np.linspace(*B_V_RANGE, round((B_V_RANGE[1] - B_V_RANGE[0]) / 0.0025) + 1)
 _LATE_GRID = np.linspace(*LATE_GIANT, round((LATE_GIANT[1] - LATE_GIANT[0]) / 0.02) + 1)
-_LATE_B_V = 1.6  # for families of spectra that depend on B−V only
-_SPECTRA_AT_ONCE = 128
+_LATE_B_V = 1.6  # B−V of M giants, for families of spectra that have no subtypes
+_SPECTRA_AT_ONCE = 128  # limits the memory of intermediate arrays
 _GRID_STEP_NM = 1.0
 _SQUARE_DEGREE_SR = math.radians(1.0) ** 2
 
@@ -53,7 +54,7 @@ class Photometer:
     aperture_area_cm2: float
     """Area of the entrance pupil, cm²."""
     spectrum: str = "colour_sequence"
-    """Name of a family of spectra; also those of the entry-point group ``boresight.spectra``."""
+    """Name of a family of spectra, including those registered in the entry-point group ``boresight.spectra``."""
     _wavelength_nm: FloatArray = field(init=False, repr=False)
     _efficiency: FloatArray = field(init=False, repr=False)
     _rate: _Tables = field(init=False, repr=False)
@@ -68,9 +69,11 @@ class Photometer:
         lookup("spectra", SPECTRA, self.spectrum)
         wavelength_nm, efficiency = _sampled(self.response)
         moments = np.stack([efficiency, efficiency * wavelength_nm], axis=1)
-        half = np.diff(wavelength_nm, prepend=wavelength_nm[0]) / 2  # trapezoids
+        # Weights of the trapezoidal rule: half of the interval on either side of a point.
+        half = np.diff(wavelength_nm, prepend=wavelength_nm[0]) / 2
         weight = half + np.append(half[1:], 0.0)
         both = self._integrals(wavelength_nm, moments * weight[:, None])
+        # The dataclass is frozen, as photometers are shared; these tables and caches are assigned only here.
         for name, value in (
             ("_wavelength_nm", wavelength_nm),
             ("_efficiency", efficiency),
@@ -166,7 +169,7 @@ class Photometer:
             steps = np.diff(wavelength_nm)
             middle = (wavelength_nm[1:] + wavelength_nm[:-1]) / 2
             member = np.searchsorted(inner, middle)[:, None] == np.arange(len(edges) - 1)  # (W−1, K)
-            # trapezoids: each interval gives half its width to either end
+            # Trapezoidal rule: each interval adds half of its width to either end, in the bin to which it belongs.
             weight = np.zeros((len(wavelength_nm), len(edges) - 1))
             weight[:-1] += member * steps[:, None] / 2
             weight[1:] += member * steps[:, None] / 2
@@ -203,7 +206,7 @@ def _spectral_integrals(spectrum: Spectrum, wavelength_nm: bytes, kernels: bytes
     weighted = np.frombuffer(kernels).reshape(len(nm), -1)
 
     def along(b_v: FloatArray, giant: FloatArray) -> FloatArray:
-        # a few spectra at a time, as all at once take several times tens of megabytes
+        # All spectra at once would take several arrays of tens of megabytes.
         parts = [slice(k, k + _SPECTRA_AT_ONCE) for k in range(0, len(b_v), _SPECTRA_AT_ONCE)]
         return np.concatenate([spectrum(nm, b_v[part], giant[part]) @ weighted for part in parts])
 
@@ -225,6 +228,7 @@ def _looked_up(tables: _Tables, b_v: ArrayLike, giant: ArrayLike | None) -> Floa
     unknown = np.isnan(share)
     if unknown.any():
         share = np.where(unknown, population_giant_share(colour), share)
+    # np.minimum and np.maximum have less overhead than np.clip, which matters for the few stars of a frame.
     clipped = np.minimum(np.maximum(colour, B_V_RANGE[0]), B_V_RANGE[1])
     at = _rows((clipped - B_V_RANGE[0]) / _B_V_STEP, dwarfs)
     of_giants = np.minimum(np.maximum(share, 0.0), 1.0).reshape(at[1].shape)
@@ -252,7 +256,8 @@ def _between(table: FloatArray, row: IntArray, part: FloatArray) -> FloatArray:
 
 
 def _sampled(response: Curve) -> tuple[FloatArray, FloatArray]:
-    """The response at its own points and at least every nanometre, as spectra vary where the response is flat."""
+    """Wavelengths (W,) and values (W,) of a response at its own points and at least every nanometre, because spectra
+    vary where the response is flat."""
     low, high = response.wavelength_nm[0], response.wavelength_nm[-1]
     fine = np.linspace(low, high, math.ceil((high - low) / _GRID_STEP_NM) + 1)
     wavelength_nm = np.unique(np.concatenate([fine, response.wavelength_nm]))

@@ -1,15 +1,15 @@
-"""Artificial satellites and debris near the field: sunlit spheres that scatter diffusely, and move.
+"""Artificial satellites and debris near the field, as moving sunlit spheres that scatter diffusely.
 
 A sphere of radius a and albedo A that scatters by Lambert's law has, at a distance d and a phase angle φ,
 
     E = E_sun · (2/3) A (a/d)² · F(φ),   F(φ) = [sin φ + (π − φ) cos φ] / π
 
 (Russell 1916, ApJ 43, 173; Hejduk 2011, AMOS: "Specular and diffuse components in spherical satellite photometric
-modeling"). The standard magnitude is V at 1000 km and φ = 90°, where F = 1/π. The Earth, a sphere, dims a satellite by
-the part of the Sun's uniform disk that it covers, and hides what is behind it.
+modeling"). The standard magnitude is V at 1000 km and φ = 90°, where F = 1/π. The Earth, a sphere, dims a satellite in
+proportion to the part of the Sun's uniform disk that it covers, and hides satellites behind it.
 
 Not modelled: shapes, flares, the atmosphere's refraction and reddening in the penumbra, light from the Earth and the
-Moon, occultation by other bodies than the Earth.
+Moon, occultation by bodies other than the Earth.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from startracker.errors import InputError
 STANDARD_KM = 1000.0
 """Distance of the standard magnitude; its phase angle is 90°."""
 LEAST_KM = 0.01
-"""Nearer objects are the spacecraft itself, whose elements may be in the list."""
+"""Objects nearer than this are taken for the spacecraft itself, whose elements may be in the list."""
 _NODES = 5
-"""Instants of an exposure through which a path is fitted: a quartic is within 0.005″ of Skyfield over 10 s."""
+"""Instants of an exposure to which a path is fitted; the quartic agrees with Skyfield to 0.005″ over 10 s."""
 _SHIFT_RAD = 3e-4
 """Upper limit of aberration and light time together, for the selection of satellites near the field."""
 
 
 @dataclass(frozen=True, eq=False)
 class Satellites:
-    """Satellites near the field, as columns; those in the Earth's shadow or behind it are left out."""
+    """Satellites near the field, as columns; satellites in the Earth's umbra or behind the Earth are omitted."""
 
     number: IntArray
     """(N,): Catalogue number; 0 if it is not a number."""
@@ -60,9 +60,9 @@ class Satellites:
     """(N, 5, 3): Apparent vector from the spacecraft, ICRS axes, as a polynomial of the seconds from mid-exposure,
     lowest power first."""
     rate_rad_s: FloatArray
-    """(N,): Angular rate against the stars."""
+    """(N,): Angular rate relative to the stars."""
     v_mag: FloatArray
-    """(N,): Apparent V, in the penumbra fainter."""
+    """(N,): Apparent V, including the dimming in the penumbra."""
     angular_radius_rad: FloatArray
     """(N,): Apparent radius."""
     illuminated_fraction: FloatArray
@@ -85,7 +85,7 @@ class Satellites:
 
 
 class Look(NamedTuple):
-    """One exposure: where the spacecraft is and what its camera can see."""
+    """One exposure: its time, the motion of the spacecraft, and the field of the camera."""
 
     t_s: float
     """Mid-exposure, seconds after the epoch."""
@@ -109,6 +109,7 @@ class SatelliteList(NamedTuple):
     """Satellites of a scenario."""
 
     orbits: ElementList
+    """Orbits of the N satellites."""
     standard_magnitude: FloatArray
     """(N,): V at 1000 km and a phase angle of 90°."""
     radius_km: FloatArray
@@ -130,6 +131,7 @@ class SatelliteList(NamedTuple):
             own_rad = np.arcsin(np.minimum((speed * look.exposure_s + self.radius_km) / distance_km, 1.0))
             off_axis = np.arccos(np.clip(away_km @ look.boresight / distance_km, -1.0, 1.0))
             close = (off_axis < look.reach_rad + own_rad + _SHIFT_RAD) & (distance_km > LEAST_KM)
+        # The few satellites near the field are then tested for the Earth in front of them and for its shadow.
         rows = np.flatnonzero(close)
         share = np.ones(len(rows))
         if has_disk(sky, here.r_km[0]):
@@ -139,14 +141,16 @@ class SatelliteList(NamedTuple):
         return self._seen(rows, share, there.r_km[rows, 0], look, sky)
 
     def _seen(self, rows: IntArray, share: FloatArray, r_km: FloatArray, look: Look, sky: Sky) -> Satellites:
-        """Columns of some rows, with the sunlit share of each and its position at mid-exposure."""
+        """Columns of some rows, with the sunlit fraction (n,) of each and its geocentric position (n, 3) at
+        mid-exposure."""
         path = self._path_km(rows, look, sky)
         to_sun, to_camera = look.sun_km - r_km, -path[:, 0]
         sun_km, distance_km = np.linalg.norm(to_sun, axis=1), np.linalg.norm(to_camera, axis=1)
         cosine = np.clip(np.sum(to_sun * to_camera, axis=1) / (sun_km * distance_km), -1.0, 1.0)
+        # The standard magnitude is at 90°, where F = 1/π; the factor π is relative to it.
         phase = diffuse_phase(np.arccos(cosine)) * math.pi
         v_mag = self.standard_magnitude[rows] + 5.0 * np.log10(distance_km / STANDARD_KM * sun_km / AU_KM)
-        with np.errstate(divide="ignore"):  # none of the lit side is seen
+        with np.errstate(divide="ignore"):  # at φ = 180° no lit surface is visible, and V is infinite
             v_mag = v_mag - 2.5 * np.log10(phase * share)
         unit = path[:, 0] / distance_km[:, None]
         across = path[:, 1] - np.sum(path[:, 1] * unit, axis=1)[:, None] * unit
@@ -165,16 +169,18 @@ class SatelliteList(NamedTuple):
         """Polynomials (n, 5, 3) of the apparent vectors of some rows."""
         half_s = 0.5 * look.exposure_s
         first_s, last_s = max(look.t_s - half_s, look.span_s[0]), min(look.t_s + half_s, look.span_s[1])
+        # Chebyshev nodes minimise the largest error of the polynomial over the exposure.
         chebyshev = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
         t_s = 0.5 * (first_s + last_s) + 0.5 * (last_s - first_s) * chebyshev
         here, there = look.states(t_s), self.orbits.states(t_s, rows)
         vector = there.r_km - here.r_km
-        for _ in range(2):  # the light time is below 1e-4 of that of a satellite's motion
+        for _ in range(2):  # two iterations suffice, as satellites are slow against light
             delay_s = np.linalg.norm(vector, axis=-1, keepdims=True) / SPEED_OF_LIGHT_KM_S
             vector = there.r_km - here.r_km - (there.v_km_s + look.earth_km_s) * delay_s
         if sky.aberration:
             distance_km = np.linalg.norm(vector, axis=-1, keepdims=True)
             vector = aberrated(vector / distance_km, look.earth_km_s + here.v_km_s) * distance_km
+        # Times in units of half an exposure keep the matrix well conditioned; the coefficients are scaled back.
         powers = np.vander((t_s - look.t_s) / half_s, _NODES, increasing=True)
         found = np.einsum("dk,nkj->ndj", np.linalg.inv(powers), vector)
         return np.asarray(found / (half_s ** np.arange(_NODES))[:, None])
@@ -192,6 +198,8 @@ def load_satellites(given: SatelliteParameters, clock: Clock, folder: Path) -> S
         return None
     path = folder / given.file
     orbits = ElementList.read(path, clock, given.max_age_days)
+    # Values of all satellites first, then those of single ones. A diameter or albedo of a satellite's own replaces the
+    # common magnitude.
     magnitude = np.empty(len(orbits))
     radius_km = np.full(len(orbits), given.diameter_m / 2000.0)
     magnitude[:] = (
@@ -232,6 +240,7 @@ def sunlit_share(r_km: FloatArray, sun_km: FloatArray) -> FloatArray:
     radius_rad = np.arcsin(RADIUS_KM["Sun"] / distance_km)
     share = np.ones(len(r_km))
     for k in range(len(r_km)):
+        # The Earth's limb on the disk of the Sun, as seen from the satellite.
         offset, curvature = (float(x[0]) for x in limbs(to_sun[k] / distance_km[k], radius_rad[k : k + 1], r_km[k]))
         if offset < 1.0:
             share[k] = share_before_limb(offset, curvature, 0.0, 1.0, "lommel_seeliger") if offset > -1.0 else 0.0
@@ -242,5 +251,6 @@ def behind_earth(r_km: FloatArray, camera_km: FloatArray) -> NDArray[np.bool_]:
     """Whether the solid Earth, a sphere, is between a camera (3,) and objects (N, 3), at geocentric positions; objects
     in front of its disk are not behind it."""
     line = r_km - camera_km
+    # The point of the line segment that is closest to the Earth's centre, as a fraction of its length.
     along = np.clip(-line @ camera_km / np.sum(line * line, axis=1), 0.0, 1.0)
     return np.asarray(np.linalg.norm(camera_km + along[:, None] * line, axis=1) < EARTH_RADIUS_KM)

@@ -53,13 +53,13 @@ B_V = {
 `simulator.sky.albedo`."""
 
 EARTH_DISK_KM = 1.0e6
-"""Distance from which the Earth is one of the bodies, with its magnitude and phase; its radius is then at most 0.37°.
-Closer, `simulator.sky.earth` renders its surface and limb."""
+"""Distance beyond which the Earth is one of the bodies, with magnitude and phase; its angular radius is then at most
+0.37°. Nearer than this, `simulator.sky.earth` renders its surface and limb."""
 
 _DEFLECTION_LIMIT = 1e-9
 """Limiter of ERFA's ``eraLd``: deflection is limited within 9″ of the Sun's centre, behind its disk."""
 
-_ALL = tuple(RADIUS_KM)  # the Moon and the Sun are the last
+_ALL = tuple(RADIUS_KM)  # `bodies_seen_from` relies on the Moon and the Sun being the last two
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Bodies:
     distance_au: FloatArray
     """(N,): Distance at the time of light emission."""
     v_mag: FloatArray
-    """(N,): Apparent V of the whole disc."""
+    """(N,): Apparent V of the whole disk, including its phase."""
     angular_radius_rad: FloatArray
     """(N,): Apparent equatorial radius."""
     illuminated_fraction: FloatArray
@@ -147,9 +147,9 @@ def bodies_seen_from(
     from DE421 by Skyfield and ERFA. In a block with instants on both sides of that distance the Earth is included.
 
     Positions include light time (Skyfield's ``observe``), light deflection by the Sun for the other bodies (``eraLd``
-    for a source at finite distance, Klioner 2003) and aberration (``eraAb``). Skyfield's ``apparent`` cannot omit
-    single effects, as `Sky` can. Jupiter and the outer planets are represented by the barycentres of their systems
-    (0.1″).
+    for a source at finite distance, Klioner 2003) and aberration (``eraAb``). Skyfield's ``apparent`` is not used,
+    because it cannot omit single effects as `Sky` can. Jupiter and the outer planets are represented by the barycentres
+    of their systems (0.1″).
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def bodies_seen_from(
         If a date is outside DE421.
     """
     if not sky.planets:
-        nothing = np.zeros((*np.shape(t_s), 0))
+        nothing = np.zeros((*np.shape(t_s), 0))  # no bodies, with the leading axis of a block
         return Bodies(np.array(_ALL[:0]), np.zeros((*nothing.shape, 3)), *(nothing,) * 4, np.empty(0))
     time = sky_time(clock, t_s)
     earth_is_far = sky.earth and bool(is_far(position_au - barycentric("Earth", time).xyz.au.T).any())
@@ -178,6 +178,7 @@ def bodies_seen_from(
     seen = astrometric_au(names, time, position_au)
     distance = np.linalg.norm(seen, axis=-1)
     direction = seen / distance[..., None]
+    # Heliocentric vectors of all bodies but the Sun, which is the last one.
     from_sun = seen[..., :-1, :] + (position_au - sun)[..., None, :]
     sun_distance = np.linalg.norm(from_sun, axis=-1)
     cosine = np.clip(np.sum(from_sun * direction[..., :-1, :], axis=-1) / sun_distance, -1.0, 1.0)  # of the phase angle
@@ -194,7 +195,7 @@ def bodies_seen_from(
     columns += [moon_v(sun_distance[..., -1], distance[..., -2], phase_deg), sun_v(distance[..., -1])]
     radius = np.arcsin(np.minimum(np.array([RADIUS_KM[name] for name in names]) / AU_KM / distance, 1.0))
     arrays = (direction, distance, np.stack(columns, axis=-1), radius, lit)
-    for array in arrays:  # used for a block of frames
+    for array in arrays:  # all frames of a block share these arrays
         array.flags.writeable = False
     return Bodies(np.array(names), *arrays, np.array([B_V[name] for name in names]))
 
@@ -209,5 +210,6 @@ def _deflected(direction: FloatArray, from_sun: FloatArray, observer_au: FloatAr
     the position (..., 3) of the observer relative to it."""
     distance = np.linalg.norm(observer_au, axis=-1, keepdims=True)[..., None]
     away = observer_au[..., None, :] / distance
+    # eraLd takes the mass of the deflector in solar masses, and the directions from it to the source and the observer.
     bent = erfa.ufunc.ld(1.0, direction, from_sun, away, distance[..., 0], _DEFLECTION_LIMIT)
     return np.asarray(bent / np.linalg.norm(bent, axis=-1, keepdims=True))

@@ -36,7 +36,7 @@ B_V_RANGE = (-0.4, 3.0)
 LATE_GIANT = (10.0, 16.0)
 """`giant` of M0 to M6 giants, 10 + subtype; see `colour_sequence`."""
 
-_C2_M_K = HC_J_NM * 1e-9 / BOLTZMANN_J_K  # the default of colour-science is rounded to 0.014388
+_C2_M_K = HC_J_NM * 1e-9 / BOLTZMANN_J_K  # hc/k; colour-science's default is rounded to 0.014388
 V_GRID_NM = np.arange(470.0, 700.5, 0.5)
 
 
@@ -53,7 +53,7 @@ def colour_sequence(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike
     Parameters
     ----------
     wavelength_nm : (W,) array
-        Wavelengths, nm; the library has 200 to 1300. Beyond the red end n_λ ∝ λ⁻³ (Rayleigh–Jeans), before the other 0.
+        Wavelengths, nm; the library has 200 to 1300. Above 1300 nm n_λ ∝ λ⁻³ (Rayleigh–Jeans), below 200 nm it is 0.
     b_v : (N,) array
         Colours B−V; `DEFAULT_B_V` for NaN (unknown); clipped to `B_V_RANGE`.
     giant : float or (N,) array
@@ -73,6 +73,7 @@ def colour_sequence(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike
     colour = _known(b_v)
     share = np.broadcast_to(np.asarray(giant, dtype=float), colour.shape)
     photons = np.zeros((len(colour), len(wavelength_nm)))
+    # The spectrum of an intermediate class is the mean of dwarf and giant of the same colour, weighted by the class.
     late = share >= LATE_GIANT[0]
     weight = np.clip(np.where(late, 0.0, share), 0.0, 1.0)
     for name, part in (("dwarf", np.where(late, 0.0, 1.0 - weight)), ("giant", weight)):
@@ -85,19 +86,22 @@ def colour_sequence(wavelength_nm: FloatArray, b_v: FloatArray, giant: ArrayLike
 
 
 def _along(line: Sequence, key: FloatArray, wavelength_nm: FloatArray) -> FloatArray:
-    """Spectra (N, W) of V = 0 at `key` (N,) along a sequence."""
+    """Spectra (N, W) of stars of V = 0 at coordinates `key` (N,) of a sequence."""
     inside = np.clip(key, line.key[0], line.key[-1])
     photons = np.exp(_interpolator(line)(inside))
+    # The excess over the reddest colour is a colour excess E(B−V) of interstellar dust.
     beyond = key - line.key[-1]
     red = beyond > 0.0
     if red.any():
         photons[red] *= 10.0 ** (-0.4 * beyond[red, None] * relative_extinction(line.wavelength_nm))
+    # The scaling to V = 0 comes after the reddening, which changes V.
     photons *= (V0_PHOTONS_S_CM2_NM / V_EFFECTIVE_NM / mean_v(line.wavelength_nm, photons))[:, None]
     return _resampled(line.wavelength_nm, photons, wavelength_nm)
 
 
 @functools.cache
 def _interpolator(line: Sequence) -> MonotoneCubic:
+    # The floor avoids the logarithm of 0 where a library spectrum has no flux.
     return MonotoneCubic.through(line.key, np.log(np.maximum(line.photons, 1e-30)))
 
 

@@ -35,13 +35,14 @@ def count_between(brightest: float, faintest: float) -> float:
 
 
 def light_between_s10(brightest: float, faintest: float) -> float:
-    """Their mean surface brightness, stars of V = 10 in a square degree."""
+    """Mean surface brightness of these stars over the whole sky, S10: stars of V = 10 per square degree."""
+    # The integral over magnitudes is a sum over steps of 0.02 mag, each with the light of its middle.
     edges = np.linspace(brightest, faintest, max(2, math.ceil((faintest - brightest) / _STEP) + 1))
     middle = 0.5 * (edges[1:] + edges[:-1])
     return float(np.diff(_count(edges)) @ 10.0 ** (-0.4 * (middle - 10.0))) / SKY_SQUARE_DEGREES
 
 
 def draw_magnitudes(share: FloatArray, brightest: float, faintest: float) -> FloatArray:
-    """Magnitudes (N,) at uniform deviates (N,) from 0 to 1 of the counts between two limits."""
+    """Magnitudes (N,) of stars between two limits, by the inverse of the cumulative counts at uniform deviates (N,)."""
     low, high = _count(brightest), _count(faintest)
     return np.asarray(np.interp(np.log(low + share * (high - low)), _LOG_COUNT, _V))

@@ -31,6 +31,7 @@ def find_target(name: str, catalog: StarCatalog) -> str | int:
     for body in RADIUS_KM:
         if _folded(body) == wanted:
             return body
+    # A proper name leads to a designation, and a designation to a row; anything else may be a catalogue number.
     proper = {_folded(proper): star for star, proper in proper_names().items()}
     designated = designation_rows(catalog)
     rows = {_folded(star): row for star, row in designated.items()}
@@ -60,7 +61,8 @@ def attitude_towards(direction: FloatArray, parameters: PointingParameters) -> A
     centred = Attitude.from_radec_roll(ra, dec, parameters.target_roll_deg)
     x, y = (math.tan(math.radians(angle)) for angle in parameters.target_offset_deg)
     seen = np.array([x, y, 1.0]) / math.sqrt(x * x + y * y + 1.0)
-    # the smallest rotation of the camera that moves the target from the boresight to `seen`
+    # The smallest rotation of the camera that moves the target from the boresight to `seen`. The sign is negative
+    # because a rotation of the camera moves the image the other way.
     axis = np.cross([0.0, 0.0, 1.0], seen)
     sine = float(np.linalg.norm(axis))
     vector = -axis / sine * math.asin(sine) if sine > 0.0 else np.zeros(3)

@@ -107,8 +107,8 @@ def draw_solution(ax: Axes, shades: Shades, solution: Solution, title: str, name
                 label=f"identified ({solution.matched})")  # fmt: skip
     small = solution.solved and ax.get_window_extent().width < 450
     ax.set_title(title, fontsize=6.5 if small else 9, wrap=not solution.solved)
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=3, frameon=False)
+    if marks := ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=len(marks), frameon=False)
     stars = solution.stars
     brightest = np.argsort(stars.v_mag, kind="stable")[:names]
     rows = [(stars.xy[i], stars.name[i], stars.catalog_id[i], stars.v_mag[i]) for i in brightest]

@@ -27,11 +27,11 @@ from simulator.study.statistics import BODY_AXES, median, summarise
 from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
 from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
+from startracker._compiled import clock
 from startracker._version import __version__
 from startracker.arguments import text, whole_number
 from startracker.display import angle_text, described
 from startracker.errors import BoresightError, InputError
-from startracker.kernels import clock
 
 if TYPE_CHECKING:
     from simulator.study.trials.trial import TrialRunner

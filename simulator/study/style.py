@@ -105,6 +105,10 @@ class Panel:
     """Height in inches."""
     wide: bool = False
     """Full width of the page, instead of two or three per row."""
+    anchor: str = ""
+    """Anchor of the figure in the page, for links to it."""
+    command: str = ""
+    """Command that makes the figure again, below its caption."""
 
 
 def figure_of(panel: Panel, narrow: bool = False) -> Figure:

@@ -34,7 +34,7 @@ _BACKGROUND = "#101418"
 _SIDE_IN = 10.0
 _LEAST_PX, _MOST_PX = 1400, 2400
 _MOST_ENTRIES = 6
-"""Of the legend."""
+"""Largest number of entries in the legend."""
 
 
 def annotated_picture(image: NDArray[Any], solution: Solution, form: str = "png", **options: Any) -> bytes:
@@ -124,7 +124,7 @@ _ENTRY_IN = 1.95
 """Width of an entry of the legend."""
 _COMPASS_IN = 0.40
 _WIDE_IN = 8.4
-"""Narrower pictures have compass and scale in a row of their own, below the title."""
+"""Width, inches, below which compass and scale are in their own row under the title."""
 
 
 def _canvas(shape: tuple[int, ...]) -> tuple[Figure, Axes]:
@@ -164,7 +164,7 @@ def _compass_and_scale(figure: Figure, ax: Axes, solution: Solution) -> None:
     over.set_ylim(0.0, down)
     over.set_axis_off()
     middle = np.array([across - _MARGIN_IN - 0.45, top])
-    # the arrows point north and east at the image centre
+    # The arrows point north and east at the centre of the image.
     for text, arrow in compass_arrows(solution).items():
         upwards = arrow * [1.0, -1.0]
         style = {"arrowstyle": "-|>", "color": TEXT, "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
@@ -172,6 +172,7 @@ def _compass_and_scale(figure: Figure, ax: Axes, solution: Solution) -> None:
         over.annotate("", (tip[0], tip[1]), (start[0], start[1]), arrowprops=style)
         at = middle + 0.21 * upwards
         over.text(at[0], at[1], text, color=TEXT, fontsize=8, ha="center", va="center")
+    # Both sizes are in inches, so that compass and scale do not depend on the size of the image.
     inches_per_px = ax.get_position().width * across / camera.width
     step = nice_step(math.degrees(1.6 / inches_per_px * camera.pixel_rad))
     length = math.radians(step) / camera.pixel_rad * inches_per_px

@@ -26,9 +26,9 @@ _DIRECTIONS = (
 """Positions of a label relative to its star in order of preference; y up."""
 _GAP = 2.0
 _LARGEST_MARK = 50.0
-"""A label of a larger mark, a nebula's, stands within it."""
+"""Diameter, points, above which a label is placed inside its mark, as for a large nebula."""
 _CLEAR = 1.5
-"""Between two labels on one line."""
+"""Gap between two labels on one line, points."""
 _BORDER = 20.0
 
 
@@ -36,13 +36,13 @@ class Label(NamedTuple):
     """Text that belongs to a mark."""
 
     xy: FloatArray
-    """Pixel of the mark."""
+    """Pixel of the mark (x, y)."""
     diameter: float
-    """Of the mark, in points."""
+    """Diameter of the mark, points."""
     text: str
     colour: str
     size: float
-    """Of the text, in points."""
+    """Font size of the text, points."""
 
 
 class Labels:
@@ -69,7 +69,7 @@ class Labels:
         self.renderer = figure.canvas.get_renderer()
         x_px, _ = ax.transData.transform((1.0, 0.0)) - ax.transData.transform((0.0, 0.0))
         self.points_per_pixel = abs(float(x_px)) * self.points
-        """Size of a pixel of the image."""
+        """Size of a pixel of the image, points."""
 
     def to_points(self, xy: FloatArray) -> FloatArray:
         """Position of a pixel in points."""
@@ -98,6 +98,7 @@ class Labels:
         """Write the value of a grid line where it meets the border, preferably the left or lower one."""
         artist, wide, high = self._measure(text, colour, 6.5)
         ends = [self.to_points(pixels[k]) for k in (0, -1)]
+        # The end nearer to the lower or left border is tried first.
         for x, y in sorted(ends, key=lambda end: float(min(end))):
             if min(x, y, *(self.size - (x, y))) > _BORDER:  # the pole, where lines end
                 continue

@@ -1,4 +1,4 @@
-"""What is marked on an annotated picture: stars, deep-sky objects, planets, constellations and the grid."""
+"""Marks on an annotated picture: stars, deep-sky objects, planets, constellations and the grid."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LEAST_DEEP_SKY_POINTS, _LARGEST_KEPT_FREE, _BODY_POINTS = 9.0, 30.0, 13.0
 
 
 class FieldOfStars:
-    """A solved field, and where the catalogue's stars and other directions are on its image."""
+    """A solved field, which projects the catalogue's stars and other directions onto its image."""
 
     def __init__(self, solution: Solution, catalog: StarCatalog, observer: Observer | None) -> None:
         assert solution.attitude is not None
@@ -52,16 +52,17 @@ class FieldOfStars:
         return directions if velocity is None else aberrate(directions, velocity)
 
     def project(self, directions: FloatArray) -> FloatArray:
-        """Pixels (N, 2) of directions; NaN farther from the boresight than the image's corners."""
+        """Pixels (N, 2) of directions; NaN for directions farther from the boresight than the corners of the image."""
         vectors = self.attitude.apply(directions)
         angle = np.arctan2(np.hypot(vectors[:, 0], vectors[:, 1]), vectors[:, 2])
         pixels = np.full((len(vectors), 2), np.nan)
+        # Directions far outside the field may be projected back into it by the distortion polynomial.
         seen = angle <= self.camera.half_diagonal_rad
         pixels[seen] = self.camera.project(vectors[seen])
         return pixels
 
     def inside(self, pixels: FloatArray) -> NDArray[np.bool_]:
-        """Which pixels (N, 2) are on the image."""
+        """Mask of the pixels (N, 2) that are on the image."""
         return np.asarray(np.isfinite(pixels).all(axis=1) & self.camera.contains(pixels))
 
     def missing(self) -> FloatArray:
@@ -89,7 +90,7 @@ def mark_stars(ax: Axes, field: FieldOfStars, labels: Labels, names: int) -> lis
     """Circle the identified stars and mark those that were expected; returns labels of at most `names` stars."""
     stars = field.solution.stars
     faintest = float(stars.v_mag.max(initial=0.0))
-    # diameter in points: 1.3 per magnitude, from 6 for the faintest star to at most 18
+    # Diameter in points: 1.3 per magnitude, from 6 for the faintest star up to 18.
     diameter = np.clip(6.0 + 1.3 * (faintest - stars.v_mag), 6.0, 18.0)
     for chosen, style, label in (
         (stars.used, "-", "identified"),
@@ -121,6 +122,7 @@ def mark_deep_sky(ax: Axes, field: FieldOfStars, labels: Labels) -> list[Label]:
     pixels = field.project(field.apparent(deep_sky_directions()))
     wanted = []
     for i in np.flatnonzero(field.inside(pixels)):
+        # The diameter in arc minutes over 120 is the radius in degrees.
         radius_px = math.radians(items[i].diameter_arcmin / 120.0) / field.camera.pixel_rad
         diameter = max(2.0 * radius_px * labels.points_per_pixel, _LEAST_DEEP_SKY_POINTS)
         ax.plot(*pixels[i], "o", ms=diameter, mfc="none", mec=DEEP_SKY, mew=0.9, ls="none", zorder=3)

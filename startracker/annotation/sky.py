@@ -1,4 +1,4 @@
-"""Geometry of an annotated picture: grid lines, compass, arcs and the title text. Nothing is drawn here."""
+"""Geometry of an annotated picture: grid lines, compass, arcs and the title text. It draws nothing."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def compass_arrows(solution: Solution) -> dict[str, FloatArray]:
     assert camera is not None
     middle = np.array([[(camera.width - 1) / 2, (camera.height - 1) / 2]])
     ra, dec = solution.radec_of(middle)[0]
-    # a step of one pixel: a pole in the field then matters only if it is at the centre
+    # With a step of one pixel, a pole in the field matters only if it is at the centre.
     step = math.degrees(camera.pixel_rad)
     near = max(math.cos(math.radians(dec)), 1e-6)
     tips = solution.pixel_of([ra, ra + step / near], [min(dec + step, 90.0), dec])
@@ -70,12 +70,13 @@ def grid_lines(solution: Solution) -> Iterator[tuple[FloatArray, str]]:
     span = math.sqrt(camera.fov_deg * camera.fov_y_deg)
     low, high = float(field[:, 1].min()), float(field[:, 1].max())
     dec_step = _nearest(_DEC_STEPS, span / _LINES)
-    # with a pole in the field every right ascension occurs
+    # With a pole in the field every right ascension occurs.
     poles = solution.pixel_of([0.0, 0.0], [90.0, -90.0])
     seen = np.isfinite(poles).all(axis=1) & camera.contains(poles)
     low, high = (-90.0 if seen[1] else low), (90.0 if seen[0] else high)
     offset = (field[:, 0] - solution.ra_deg + 180.0) % 360.0 - 180.0
     west, east = (-180.0, 180.0) if seen.any() else (float(offset.min()), float(offset.max()))
+    # Meridians converge towards the poles: their spacing on the image is that of the parallels over cos(declination).
     ra_step = _nearest(
         _RA_STEPS, min((east - west) / _LINES, dec_step / max(math.cos(math.radians((low + high) / 2)), 0.02) * 1.4)
     )
@@ -87,6 +88,7 @@ def grid_lines(solution: Solution) -> Iterator[tuple[FloatArray, str]]:
             yield solution.pixel_of(along, k * dec_step), dec_text(k * dec_step, dec_step)
     up = np.linspace(low, high, _POINTS)
     first, last = math.ceil((solution.ra_deg + west) / ra_step), math.floor((solution.ra_deg + east) / ra_step)
+    # With the pole in the field all right ascensions are drawn, and the first and the last line coincide.
     for k in range(first, last + 1 if east - west < 359.0 else first + round(360.0 / ra_step)):
         yield solution.pixel_of(k * ra_step, up), ra_text(k * ra_step % 360.0, ra_step)
 

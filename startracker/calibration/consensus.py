@@ -22,12 +22,13 @@ from startracker.geometry.lens_fit import Matches, fit_jointly, rescaled
 
 _SIGMAS = 5.0
 _TOLERANCE = 6e-4
-"""Relative. Refraction shortens a field by κ sec²z on the mean of both axes, κ = 58.3″ = 2.8e-4: images at altitudes of
-40° and more differ by up to 4e-4."""
+"""Largest relative difference of focal lengths. Refraction shortens a field by κ sec²z on the mean of both axes, κ =
+58.3″ = 2.8e-4, so that images at altitudes of 40° and more differ by up to 4e-4."""
 _FIRST_TOLERANCE = 4e-3
-"""The same before the lens is known: unmodelled distortion changes the focal length of an image with its stars."""
+"""The same before the lens is known: unmodelled distortion changes an image's focal length depending on its stars."""
 _SAME_PX = 1e-3
-"""Centroids of two exposures differ by their noise; those of a copied file do not, even with a modified header."""
+"""Distance, px, below which centroids are copies: those of two exposures differ by their noise, those of a copied file
+do not, even if its header was modified."""
 _SAME_SHARE = 0.9
 
 
@@ -36,12 +37,12 @@ class FocalLengths(NamedTuple):
 
     log_factor: FloatArray
     sigma: FloatArray
-    """Natural logarithm of the factor, and its standard error with the image's own residuals, (I,); inf without a
-    fit."""
+    """Natural logarithm of the factor, and its standard error from the image's own residuals, (I,); infinite if the fit
+    failed."""
 
 
 def focal_lengths(camera: Camera, matrices: Sequence[FloatArray], matches: Sequence[Matches]) -> FocalLengths:
-    """Focal length of each image, every other parameter of the lens as in `camera`."""
+    """Focal length of each image, with all other parameters of the lens as in `camera`."""
     log_factor, sigma = np.zeros(len(matches)), np.full(len(matches), np.inf)
     for i, (matrix, one) in enumerate(zip(matrices, matches, strict=True)):
         fit = fit_jointly(camera, [matrix], [one], ("f",)) if len(one.xy) > 3 else None
@@ -52,7 +53,7 @@ def focal_lengths(camera: Camera, matrices: Sequence[FloatArray], matches: Seque
 
 
 def agreeing(found: FocalLengths, among: NDArray[np.bool_], *, lens_known: bool) -> NDArray[np.bool_]:
-    """Images (I,) whose focal length is the median of those `among`."""
+    """Mask (I,) of the images whose focal length agrees with the median of those in `among`."""
     usable = np.isfinite(found.sigma) & among
     if not usable.any():
         return usable
@@ -62,7 +63,7 @@ def agreeing(found: FocalLengths, among: NDArray[np.bool_], *, lens_known: bool)
 
 
 def repeated(fields: Sequence[StarField]) -> dict[int, int]:
-    """Images with the same centroids as an earlier one, with the number of that image."""
+    """Indices of images with the same centroids as an earlier one, and the index of that image."""
     same: dict[int, int] = {}
     for later in range(len(fields)):
         for first in range(later):

@@ -28,13 +28,13 @@ class IdentifiedStars(Matches):
     """
 
     catalog_id: IntArray
-    """Number of each star, (M,), by which it is recognised in later frames."""
+    """Catalogue number of each star, (M,), by which it is recognised in later frames."""
     flux: FloatArray
-    """Signal, DN, (M,), of which only the order is used; NaN if not known."""
+    """Signal, DN, (M,), of which only the order is used; NaN if unknown."""
 
     @classmethod
     def of(cls, solution: Solution, tracker: StarTracker) -> IdentifiedStars:
-        """The fitted stars of a solved frame; where their errors are not known, they are taken from the residuals."""
+        """The fitted stars of a solved frame; if their errors are unknown, they are estimated from the residuals."""
         of_kind("solution", solution, Solution)
         stars, guide = solution.stars.fitted, of_kind("tracker", tracker, StarTracker).guide
         sigma_px = stars.sigma_px
@@ -48,7 +48,7 @@ class IdentifiedStars(Matches):
         return len(self.xy)
 
     def select(self, chosen: BoolArray) -> IdentifiedStars:
-        """A selection of the stars."""
+        """The selected stars."""
         measured = self.xy[chosen], self.directions[chosen], self.sigma_px[chosen]
         return IdentifiedStars(*measured, self.catalog_id[chosen], self.flux[chosen])
 
@@ -68,9 +68,9 @@ class StarField:
     xy : (N, 2)
         Pixels, brightest first.
     width, height : int
-        Of the image.
+        Size of the image, px.
     flux : (N,), optional
-        Positive; any linear unit.
+        Signal in any linear unit; must be positive.
     variance_px2 : (N,), optional
         Variance of each centroid on one axis; None: all equal.
     observer : Observer, optional
@@ -113,9 +113,10 @@ class SkyPart:
 
 
 def sky_part(catalog: StarCatalog, observer: Observer | None, matrix: FloatArray, camera: Camera) -> SkyPart:
-    """All stars of the catalogue within the field and a tenth around it, as the observer sees them."""
+    """All stars of the catalogue within the field and a tenth around it, in apparent directions for the observer."""
     reach = min(1.1 * camera.half_diagonal_rad + _MOTION_RAD, math.pi)
     axis = matrix[2]
+    # Stars are selected at the catalogue's epoch; `_MOTION_RAD` is more than any star moves until the image.
     near = np.flatnonzero(catalog.directions(catalog.epoch_jyear) @ axis >= math.cos(reach))
     part = merge_doubles(catalog.select(near), min(_RESOLVED_PX * camera.pixel_rad, 0.01))
     if observer is None:
@@ -134,15 +135,16 @@ def pair_up(
     gate_px: FloatArray,
     most_mag: float,
 ) -> tuple[IntArray, int]:
-    """Pairs (M, 2) of centroid and nearest star within a gate, and the number that differ too much in brightness.
+    """Pairs (M, 2) of centroids and nearest stars within a gate, and the number rejected because of their brightness.
 
-    A star that differs by more than `most_mag` from the median zero point of the field is a mismatch, such as a faint
-    star near a planet, or a hot pixel at the position of a faint star.
+    A pair whose brightness differs by more than `most_mag` from the median zero point of the field is a mismatch, such
+    as a faint star near a planet, or a hot pixel at the position of a faint star.
     """
     visible = np.flatnonzero(np.isfinite(predicted).all(axis=1))
     near, _ = nearest_unique(xy, predicted[visible], gate_px)
     seen = np.flatnonzero(near >= 0)
     pairs = np.stack([seen, visible[near[seen]]], axis=1)
+    # The median zero point of fewer pairs could be that of a mismatch.
     if flux is None or len(pairs) < 5:
         return pairs, 0
     zero = -2.5 * np.log10(flux[pairs[:, 0]]) - v_mag[pairs[:, 1]]

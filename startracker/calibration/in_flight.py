@@ -26,7 +26,7 @@ from startracker.settings.checks import settings_or_default
 class InFlightCalibration:
     """The camera of a star tracker in flight, estimated from its own stars.
 
-    Give it to a `TrackingSession`, which updates it with every solved frame and uses its camera, or call `update`.
+    Pass it to a `TrackingSession`, which updates it with every solved frame and uses its camera, or call `update`.
 
     Parameters
     ----------
@@ -68,8 +68,9 @@ class InFlightCalibration:
         )
         """Map of defective pixels."""
         self.attitude_covariance: FloatArray = np.zeros((3, 3))
-        """Second moment (3, 3) of the error of an attitude by the lens, camera axes, rad²: uncertainty of the
-        parameters, changes that are not applied, and residual distortion. Zero before the first frame."""
+        """Second moment (3, 3) of the error that the lens causes in an attitude, camera axes, rad². It includes the
+        uncertainty of the parameters, changes that are not applied, and the residual distortion. Zero before the first
+        frame."""
         self.last: LensUpdate | None = None
         """Result of the last frame for the lens; None before the first."""
         self._fixed_width = psf_width_px is not None
@@ -81,18 +82,21 @@ class InFlightCalibration:
 
     @property
     def camera(self) -> Camera:
-        """The camera to use: that of the ground with the changes that the stars have shown beyond doubt."""
+        """Camera to use: that of the ground, with the changes that are significant
+        (`startracker.calibration.applied`)."""
         return self.lens.camera_in_use
 
     def masked(self, image: Any) -> Any:
-        """The image with NaN at the defective pixels; the image itself while there are none, or if its shape is
-        another one."""
+        """The image with NaN at the defective pixels; unchanged if there are none, or if its shape differs from the
+        camera's."""
         mask = self.defects.mask
         return mask_pixels(image, mask) if mask.any() and np.shape(image) == mask.shape else image
 
     def centroiding(self, settings: CentroidSettings) -> CentroidSettings:
-        """Settings of the centroiding with the current width of star images, if a width was given; otherwise the
-        tracker measures it in every frame."""
+        """Settings of the centroiding with the current width of star images, if an initial width was given.
+
+        Otherwise they are unchanged, and the tracker measures the width in every frame.
+        """
         of_kind("settings", settings, CentroidSettings)
         return replace(settings, psf_sigma_px=self.psf.width_px) if self._fixed_width else settings
 
@@ -106,7 +110,7 @@ class InFlightCalibration:
         t_s : float
             Time of the frame, seconds of any uniform clock.
         attitude : Attitude
-            ICRS to camera; approximate, as the attitude is fitted together with the lens.
+            ICRS to camera; an approximate value is sufficient, because the attitude is fitted together with the lens.
         stars : IdentifiedStars
             The stars of the frame; ``IdentifiedStars.of(solution, tracker)`` has those of a solution.
         given : GivenImage, optional
@@ -121,7 +125,8 @@ class InFlightCalibration:
         self.lens.predict(elapsed_s)
         self.psf.predict(elapsed_s)
         if given is not None:
-            self._learn_image(np.asarray(given.image), attitude, stars, given)
+            self._update_image(np.asarray(given.image), attitude, stars, given)
+        # The errors of stars on the same pixels do not average out, so frames without motion are not used for the lens.
         if self._used_at is not None and self._shift_px(self._used_at, attitude) < self.settings.shift_px:
             found = self.lens.unused(attitude.as_matrix(), stars, "the stars have not moved")
         else:
@@ -133,14 +138,14 @@ class InFlightCalibration:
             self._used_at = attitude
         return found
 
-    def _learn_image(self, image: NDArray[Any], attitude: Attitude, stars: IdentifiedStars, given: GivenImage) -> None:
+    def _update_image(self, image: NDArray[Any], attitude: Attitude, stars: IdentifiedStars, given: GivenImage) -> None:
         if image.shape != self.defects.mask.shape:
             return
         self.psf.update(star_widths(image, stars.xy, stars.flux, given.saturation_dn, given.gain_e_per_dn))
         self.defects.add(image, attitude, stars.xy)
 
     def _shift_px(self, before: Attitude, now: Attitude) -> float:
-        """Median motion of stars over the field between two attitudes; stars that leave the field move far."""
+        """Median motion of stars over the field between two attitudes, px; infinite for stars that leave the field."""
         camera = self.lens.ground
         x, y = np.meshgrid(np.linspace(0, camera.width - 1, 4), np.linspace(0, camera.height - 1, 4))
         pixels = np.stack([x.ravel(), y.ravel()], axis=1)

@@ -1,4 +1,4 @@
-"""Identification of single images with free focal length, the start of a calibration."""
+"""Identification of single images with a free focal length, which starts a calibration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from startracker.geometry.distortion import Distortion
 from startracker.geometry.lens_fit import Matches
 
 _STATED_PX = 0.1
-"""Error of centroids given without one; only its uniformity matters."""
+"""Error, px, of centroids given without one; only its uniformity matters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class KnownField:
     sky: SkyPart
     """Catalogue stars in its field."""
     pairs: IntArray
-    """Row of the centroid, row in `sky`, (M, 2)."""
+    """Index of the centroid and index in `sky` of each identified star, (M, 2)."""
 
     def sigma(self, floor_px: float = 0.0) -> FloatArray:
         """Standard error (N,) of each centroid on one axis, px, including catalogue errors and a floor."""
@@ -40,7 +40,7 @@ class KnownField:
         return np.asarray(np.sqrt(own + catalogue + floor_px**2))
 
     def matches(self, pairs: IntArray | None = None, floor_px: float = 0.0) -> Matches:
-        """Stars for the fit: the identified ones, or other pairs."""
+        """Stars for the fit: the identified ones, or those of other pairs."""
         p = self.pairs if pairs is None else pairs
         return Matches(self.field.xy[p[:, 0]], self.sky.directions[p[:, 1]], self.sigma(floor_px)[p[:, 0]])
 
@@ -52,7 +52,7 @@ def identify_all(
     catalog: str | StarCatalog,
     table: StarCatalog,
 ) -> tuple[list[KnownField], dict[str, str]]:
-    """Identified images, and reasons for the others by name; the first camera is used for the next images."""
+    """Identified images, and reasons for the others by name; the camera of each image is tried for the next one."""
     known: list[KnownField] = []
     unsolved: dict[str, str] = {}
     parity = None
@@ -88,9 +88,9 @@ def identify_all(
 
 
 def starting_camera(known: list[KnownField], kind: str) -> Camera:
-    """Camera to start from: the median of those fitted to each image alone."""
+    """Initial camera: the median of those fitted to each image alone."""
     focal = float(np.median([k.camera.fx for k in known]))
     k1 = float(np.median([k.camera.distortion.k1 for k in known]))
-    # r = tan θ (1 + k1 tan²θ) is θ (1 + (k1 + 1/3) θ²) to the third order
+    # r = tan θ (1 + k1 tan²θ) is θ (1 + (k1 + 1/3) θ²) to third order.
     lens = Distortion(k1=k1 if kind == "pinhole" else k1 + 1.0 / 3.0)
     return replace(known[0].camera, fx=focal, fy=focal, distortion=lens, projection=kind)

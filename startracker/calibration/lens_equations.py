@@ -19,8 +19,10 @@ _RATE_SIGMA_RAD_S = 0.2
 
 @dataclass(frozen=True, eq=False)
 class LensEquations:
-    """Equations of the stars of a frame (M) for the parameters of the lens, followed by the coefficients of the
-    residual field (P together), with their stated errors."""
+    """Equations of the stars of a frame (M) for the parameters of the lens, with their stated errors.
+
+    The P unknowns are the parameters of the lens, followed by the coefficients of the residual field.
+    """
 
     matrix: FloatArray
     """Attitude (3, 3) fitted to the stars with the current lens."""
@@ -29,7 +31,7 @@ class LensEquations:
     vector: FloatArray
     """b (P,)."""
     residual: FloatArray
-    """Residuals (M, 2) of the fitted attitude, pixels."""
+    """Residuals (M, 2) of the fitted attitude, px."""
     by_lens: FloatArray
     """Derivatives (M, 2, P) of the positions that the attitude does not explain."""
     attitude_by_lens: FloatArray
@@ -76,10 +78,12 @@ def lens_equations(
     if field is not None:
         slopes = np.concatenate([slopes, field], axis=2)
     by_lens = (slopes * weight[:, :, None]).reshape(-1, slopes.shape[2])
+    # Schur complement: the part of the derivatives that a rotation of the camera (and its rate) cannot explain.
     share = np.linalg.solve(normal, columns.T @ by_lens)
     beside = by_lens - columns @ share
     left = observed - columns @ turn
     weighted = beside.reshape(slopes.shape)
+    # A shift of a star has the opposite sign of its residual; `at` takes ICRS to camera axes.
     by_star = -np.einsum("mip,mij->mpj", weighted * weight[:, :, None], by_vector @ at)
     return LensEquations(
         np.asarray(matrix),

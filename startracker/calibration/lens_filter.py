@@ -51,7 +51,7 @@ _MISFIT = 1e-3
 _MEMORY = 2000.0
 """Approximate degrees of freedom over which the ratio of actual to stated errors is averaged: it is known to 1.6 %."""
 _RESET_AFTER = 5
-"""Successive frames beyond the gate after which the lens, not the frames, is taken to be wrong."""
+"""Number of successive frames beyond the gate after which the lens, rather than the frames, is assumed to be wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,19 +61,19 @@ class LensUpdate:
     accepted: bool
     """Whether the frame was used."""
     reason: str
-    """Why not; empty if it was."""
+    """Reason for rejecting it; empty if it was used."""
     used: BoolArray
-    """Stars (M,) whose residuals fit."""
+    """Mask (M,) of the stars whose residuals fit."""
     distance2: float = math.nan
     """Squared distance of the frame's estimate of the lens from the predicted one, in units of their covariance."""
     freedom: int = 0
-    """Its degrees of freedom: χ² of as many for a correct filter, and less for stars that are seen repeatedly, which
-    have a smaller weight than their errors in one frame."""
+    """Its degrees of freedom: for a correct filter it has a χ² distribution with as many, and is smaller for stars that
+    are observed repeatedly, which have a smaller weight than their errors in one frame imply."""
     noise_factor: float = 1.0
     """Factor by which the stated errors of the stars were multiplied."""
     attitude_covariance: FloatArray | None = None
-    """Second moment (3, 3) of the error of the frame's attitude by the errors of the camera in use before the frame
-    (`LensFilter.applied`), camera axes, rad²."""
+    """Second moment (3, 3) of the error that the camera in use before the frame (`LensFilter.applied`) causes in the
+    frame's attitude, camera axes, rad²."""
 
     __repr__ = fields_repr
 
@@ -105,13 +105,14 @@ def _in_lens_units(
         elif name in ("cx", "cy"):
             out[i] = centre_px
         else:
+            # A tangential term displaces by r², a radial one k_n by r^(2n+1).
             power = 2 if name[0] == "p" else 2 * int(name[1:]) + 1
             out[i] = corner_px / (focal_px * radius**power)
     return out
 
 
 class LensFilter:
-    """The filter of the lens.
+    """Kalman filter of the lens.
 
     Parameters
     ----------
@@ -155,13 +156,13 @@ class LensFilter:
         self.random: FloatArray = self.filtered.copy()
         """Covariance (P, P) of the estimate without the constant errors of stars and the residual field."""
         self.prior_variance: FloatArray = self.initial_sigma**2
-        """Variance (P,) of the change of each parameter since the ground without any star."""
+        """Variance (P,) of the change of each parameter since the ground in the absence of stars."""
         self.field = ResidualField(len(names), self.settings.field_px)
         """Smooth distortion that the parameters do not describe."""
         self.applied: FloatArray = np.zeros(len(names))
         """Change (P,) of the parameters that is applied to the camera in use (`startracker.calibration.applied`)."""
         self.stars = StarMemory(len(names), self.settings.star_error_px * camera.pixel_rad)
-        """Stars seen so far, and the effect of their constant errors."""
+        """Stars observed so far, and the effect of their constant errors."""
         self.frames, self.restarts = 0, 0
         """Numbers of frames used, and of restarts after frames beyond the gate."""
         self._beyond = 0
@@ -286,8 +287,8 @@ class LensFilter:
 
     @property
     def _error_moment(self) -> FloatArray:
-        """Second moment (P + C, P + C) of the errors of the camera in use: covariance, and square of what is estimated
-        but not applied."""
+        """Second moment (P + C, P + C) of the errors of the camera in use: covariance, plus the square of changes not
+        applied."""
         missing = np.concatenate([self.change - self.applied, self.field.mean])
         return self._joint + np.outer(missing, missing)
 
@@ -301,12 +302,13 @@ class LensFilter:
         return float(np.sum(vector[usable] ** 2 / values[usable])), int(usable.sum())
 
     def _take(self, information: FrameInformation, frame: LensEquations, noise: FloatArray, rows: IntArray) -> bool:
-        """Update the estimates with a frame, if the updated lens can be inverted; whether it can.
+        """Update the estimates with a frame if the updated lens can be inverted; returns whether it can.
 
         The covariance of the noise of `frame.vector` is `noise` (P + C, P + C) for the stars in `rows`.
         """
         size = len(self.names)
         root = np.asarray(np.linalg.cholesky(self.filtered), dtype=np.float64)
+        # P (1 + I P)⁻¹ in the symmetric form of Cholesky's factor, which stays positive definite.
         inner = np.linalg.inv(np.eye(size) + root.T @ information.matrix[:size, :size] @ root)
         filtered = root @ inner @ root.T
         field = copy.copy(self.field)
@@ -318,13 +320,17 @@ class LensFilter:
         gain = filtered / (frame.information[0, 0] / information.matrix[0, 0])
         update = np.eye(size) - filtered @ information.matrix[:size, :size]
         self.camera, self.filtered, self.field = moved, filtered, field
+        # Joseph's form of the update, valid for any gain, because the gain ignores the constant errors of stars.
         self.random = update @ self.random @ update.T + gain @ noise[:size, :size] @ gain
         self.stars.follow(update, rows, gain @ frame.by_star[:, :size])
         return True
 
     def _effective_px(self, stars: IdentifiedStars, rows: IntArray) -> FloatArray:
-        """Standard errors (M,) that weigh the stars: the constant error of a star that was seen n times has the weight
-        of an error of √n times its size in each frame."""
+        """Standard errors (M,), px, by which the stars are weighted.
+
+        The constant error of a star that was observed n times gets the weight of an error of √n times its size in each
+        frame.
+        """
         constant_px2 = (1.0 + self.stars.sightings(rows)) * self.settings.star_error_px**2
         return np.sqrt((self.noise_factor * stars.sigma_px) ** 2 + constant_px2)
 
@@ -332,17 +338,17 @@ class LensFilter:
         """χ² of the residuals of a frame with the stated errors, and its degrees of freedom."""
         sigma = np.repeat(np.sqrt(stars.sigma_px**2 + self.settings.star_error_px**2), 2)
         by_lens, residual = frame.by_lens.reshape(len(sigma), -1) / sigma[:, None], frame.residual.ravel() / sigma
-        # errors of the lens are common to the stars: rᵀ (1 + H P Hᵀ)⁻¹ r = rᵀ r − bᵀ P (1 + I P)⁻¹ b
+        # Errors of the lens are common to the stars: rᵀ (1 + H P Hᵀ)⁻¹ r = rᵀ r − bᵀ P (1 + I P)⁻¹ b.
         information, vector, joint = by_lens.T @ by_lens, by_lens.T @ residual, self._joint
         explained = joint @ np.linalg.solve(np.eye(len(joint)) + information @ joint, vector)
         return float(residual @ residual - vector @ explained), 2 * len(stars) - 3
 
     def _lens_px2(self, by_lens: FloatArray) -> FloatArray:
-        """Variance (M,) on one axis of predicted positions by the uncertainty of the lens."""
+        """Variance (M,) on one axis of predicted positions due to the uncertainty of the lens, px²."""
         return np.asarray(np.einsum("mip,mip->m", by_lens @ self._joint, by_lens) / 2.0)
 
     def _remember(self, rows: IntArray, stars: IdentifiedStars, frame: LensEquations, columns: FloatArray) -> None:
-        """Residuals of all stars of a frame, also of those that were not used."""
+        """Record the residuals of all stars of a frame, including those that were not used."""
         seen, pixel = self.camera.unproject(stars.xy), self.camera.pixel_rad
         every = lens_equations(self.camera, frame.matrix, stars, self.names, columns).by_lens
         lens_px = np.sqrt(self._lens_px2(every))
@@ -350,7 +356,7 @@ class LensFilter:
         self.stars.add_residuals(rows, residual, self.noise_factor * stars.sigma_px * pixel, lens_px * pixel)
 
     def _refused(self, found: LensUpdate) -> LensUpdate:
-        """A frame beyond the gate; after several in succession the initial uncertainty is added to the lens."""
+        """Reject a frame beyond the gate; after several in succession the initial uncertainty is added to the lens."""
         self._beyond += 1
         reason = f"distance² {found.distance2:.1f} of {found.freedom} degrees of freedom is beyond the gate"
         if self._beyond >= _RESET_AFTER:
@@ -365,7 +371,7 @@ class LensFilter:
     def _fitting(
         self, matrix: FloatArray, stars: IdentifiedStars, columns: FloatArray, rows: IntArray
     ) -> tuple[BoolArray, LensEquations | None]:
-        """Stars whose residuals fit, and the equations of these."""
+        """Mask of the stars whose residuals fit, and their equations; None if too few are left."""
         used, effective_px = self.stars.trusted(rows), self._effective_px(stars, rows)
         while used.sum() >= max(_FEWEST_STARS, len(used) // 2):
             chosen = stars.select(used)
@@ -378,7 +384,8 @@ class LensFilter:
             good = length <= limit
             if good.all():
                 return used, frame
-            # a misidentified star rotates the frame: the worst go first, half of those beyond the limit at a time
+            # A misidentified star rotates the whole frame, so only the worst half of the stars beyond the limit is
+            # removed each time.
             worst = np.flatnonzero(~good)
             worst = worst[np.argsort(-length[worst])][: (len(worst) + 1) // 2]
             used[np.flatnonzero(used)[worst]] = False

@@ -24,7 +24,7 @@ _BINS = 8
 
 
 def residual_picture(calibration: Calibration, form: str = "png") -> bytes:
-    """The figure as the bytes of a PNG, SVG or PDF file, the same for the same calibration."""
+    """The figure as the bytes of a PNG, SVG or PDF file; equal calibrations give equal bytes."""
     return figure_bytes(residual_figure(calibration), form, dpi=130)
 
 
@@ -92,7 +92,7 @@ def _draw_radius(ax: Axes, calibration: Calibration) -> None:
         middle = np.bincount(bins, weight * radius, _BINS)[used] / total[used]
         error = scale / np.sqrt(total[used])
         ax.errorbar(middle, mean, error, fmt=f"-{marker}", color=colour, capsize=2, markersize=5, label=label)
-    # the noise of the faintest stars is not to determine the scale
+    # Quantiles, so that the noise of the faintest stars does not determine the scale.
     reach = 1.3 * float(np.quantile(np.abs(calibration.residual_px) * scale, 0.97)) + 1e-9
     plain = np.concatenate(calibration.plain_residual_px)
     reach = max(reach, 1.1 * float(np.quantile(np.abs(np.sum(plain * outward, axis=1)), 0.95)) * scale)

@@ -48,13 +48,13 @@ _FIRST_GATE_PX, _LEAST_GATE_PX = 4.0, 0.05
 _MOST_MAG = 3.0
 _FEWEST = 8
 _MOST_FIELD_PX = 4.0
-"""Largest rms value of a smooth distortion that the lens model does not describe, px; stars farther off are not
-matched."""
+"""Largest rms value, px, of a smooth distortion that the lens model does not describe; stars with larger residuals are
+not matched."""
 _EVIDENT_FIELD = 0.25
-"""Ratio of that distortion to the residuals from which a note states it."""
+"""Ratio of that distortion to the residuals above which a note states it."""
 _ROUNDS = 4
 _VAGUE = 4.0
-"""Maximum ratio of a centroid's stated error to the median of the image; centroids above it are blends or not stars."""
+"""Largest ratio of a centroid's stated error to the median of the image; centroids above it are blends or not stars."""
 
 
 def calibrate(
@@ -67,7 +67,7 @@ def calibrate(
     refraction: bool = False,
     parameters: Sequence[str] | None = None,
 ) -> Calibration:
-    """Calibrate the camera of these images.
+    """Calibrate the camera of the given images.
 
     Parameters
     ----------
@@ -132,6 +132,7 @@ def calibrate(
         raise InputError(f"no image could be identified; {first[0]}: {first[1]}")
     kinds = _projections(projection, camera, known[0].camera)
     best: tuple[_Bench, dict[str, str]] | None = None
+    # A wide field may be pinhole or fisheye: both are fitted, and the score decides.
     for kind in kinds:
         bench, outlying = _largest_agreeing(known, kind, refraction, parameters)
         if bench is not None and (best is None or bench.score() < best[0].score()):
@@ -158,6 +159,7 @@ def _largest_agreeing(
     lengths = focal_lengths(starting_camera(known, kind), matrices, matches)
     kept = agreeing(lengths, everyone, lens_known=False)
     bench: _Bench | None = None
+    # The images that agree determine the camera, with which the images are compared again, until they are the same.
     for _ in range(_ROUNDS):
         if 2 * kept.sum() <= len(known):
             break
@@ -213,6 +215,7 @@ class _Bench:
         start = starting_camera(known, kind)
         fixed = None if wanted is None else tuple(n for n in PARAMETERS[kind] if n in {*wanted, "f"})
         bench = cls(known, kind, refraction, fixed, pairs, 0.0, [0] * len(known), _unfitted(start, known))
+        # Two parameters only, because the few identified stars may not determine the others.
         first = fit_jointly(start, [k.matrix for k in known], bench.matches(), ("f", "k1"))
         if first is None:
             return None
@@ -240,6 +243,7 @@ class _Bench:
         """Noise floor from the residuals, fit with all parameters, then with the significant ones only."""
         self.floor_px = self._floor()
         full = self._fit(self.fixed or PARAMETERS[self.kind])
+        # With so few stars the significance of the other terms cannot be tested.
         if full is None or full.freedom < _FEWEST:
             chosen = self._fit(("f", "k1"))
         elif self.fixed:
@@ -257,6 +261,7 @@ class _Bench:
 
     def _floor(self) -> float:
         """Additional noise for which the median normalised residual has its expected value."""
+        # `sigma` must not include the previous floor here.
         self.floor_px = 0.0
         variance = np.concatenate([self.sigma(i)[p[:, 0]] ** 2 for i, p in enumerate(self.pairs)])
         return noise_floor(np.concatenate(self._residuals()), variance, len(self.fit.covariance))
@@ -265,6 +270,7 @@ class _Bench:
         """Pixels (K, 2) of the catalogue stars in the current fit; NaN outside the field."""
         vectors = stretch(self.known[image].sky.directions @ self.fit.matrices[image].T, self.fit.stretches[image])
         pixels = self.fit.camera.project(vectors)
+        # Far outside the field the polynomial of the lens model may lead back into the image.
         pixels[vectors[:, 2] < math.cos(min(1.05 * self.fit.camera.half_diagonal_rad, 3.1))] = np.nan
         return pixels
 
@@ -283,10 +289,13 @@ class _Bench:
                 for i, (r, p) in enumerate(zip(self.fit.residuals, self.pairs, strict=True))
             ]
         )
+        # Median of a Rayleigh distribution, for residuals in units of their standard errors.
         scale = max(float(np.median(normal)) / _RAYLEIGH_MEDIAN, 1e-9)
         for i, one in enumerate(self.known):
             sky, predicted = one.sky, self._predicted(i)
             gate = np.maximum(REJECT_SIGMAS * scale * self.sigma(i), _LEAST_GATE_PX)
+            # The search uses the wide gate in every round, so that pairs outside the narrow one are counted as
+            # rejected.
             widest = np.maximum(gate, _FIRST_GATE_PX * scale * np.median(self.sigma(i)) + 1.0)
             sigma = self.sigma(i)
             sure = sigma <= _VAGUE * np.median(sigma)
@@ -300,13 +309,17 @@ class _Bench:
 
     def score(self) -> float:
         """Bayesian information criterion per observation, for comparison of projections with nearly the same stars."""
+        # For Gaussian residuals of unknown variance, −2 ln L is count · ln(squares / count) plus a constant.
         count = 2 * self.fit.stars
         squares = sum(float(np.sum(r**2)) for r in self.fit.residuals)
         return math.log(squares / count) + len(self.fit.covariance) * math.log(count) / count
 
     def _covariance(self, matches: list[Matches]) -> tuple[FloatArray, float]:
-        """Covariance of all unknowns with the effect of a smooth distortion that the lens model does not describe, and
-        the rms value of this distortion on each axis, px."""
+        """Covariance of all unknowns, and rms value, px, of the distortion on each axis that the lens model does not
+        describe.
+
+        The covariance includes the effect of that distortion.
+        """
         fields = [field_columns(self.fit.camera, m.xy) for m in matches]
         normal, right = rescaled_equations(self.fit, matches, fields, with_refraction=self.refraction)
         size = len(self.fit.covariance)
@@ -316,7 +329,7 @@ class _Bench:
         return covariance + field.by_field @ field.moment @ field.by_field.T, field.rms_px
 
     def answer(self, unsolved: dict[str, str]) -> Calibration:
-        """The result in its final form."""
+        """The result as a `Calibration`."""
         fit, matches = self.fit, self.matches()
         covariance, field_px = self._covariance(matches)
         lens = len(fit.names)
@@ -338,6 +351,7 @@ class _Bench:
                     fit.stretches[i],
                 )
             )
+        # The residuals of a fit of the focal length alone show how much the other terms explain.
         bare = fit_jointly(plain(fit.camera), fit.matrices, matches, ("f",))
         epochs = [k.field.observer.epoch_jyear for k in self.known if k.field.observer is not None]
         result = Calibration(
@@ -376,7 +390,7 @@ def _notes(result: Calibration) -> tuple[str, ...]:
         )
     stretches = [float(np.hypot(*f.refraction)) for f in result.fields]
     if any(stretches):
-        # κ tan²z / 2
+        # Inverts the stretch κ tan²z / 2 with κ = 58.3″.
         zenith = [math.degrees(math.atan(math.sqrt(2.0 * s / (58.3 / 206_264.8)))) for s in stretches]
         says = ", ".join(f"{90 - z:.0f}°" for z in zenith)
         notes.append(f"differential refraction fitted and removed; it corresponds to altitudes of about {says}")

@@ -22,7 +22,7 @@ _FEWEST = 3
 _HALF_PX = 8
 _RIM_PX = 2
 _LONGEST_RATIO = 1.5
-"""Ratio of the variances along the axes above which an image is trailed, and its width is not that of the lens."""
+"""Ratio of the variances along the axes above which an image is trailed and does not show the width of the lens."""
 _CEILING = 0.9
 """Fraction of saturation above which a star is not measured."""
 _SIGMA_OF_MAD = 1.4826
@@ -45,9 +45,9 @@ def star_widths(
     saturation_dn: float | None,
     gain_e_per_dn: float | None,
 ) -> FloatArray:
-    """Widths σ (N,) of the brightest stars, at most nine, of the pixel-integrated Gaussian nearest to each; pixels.
+    """Widths σ (N,), px, of the pixel-integrated Gaussians that fit the brightest stars best, at most nine.
 
-    Saturated and trailed stars, and those at the border, are left out.
+    Saturated and trailed stars, and stars at the border, are excluded.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def star_widths(
     xy, flux : array, shape (M, 2), (M,)
         Positions and signal of stars.
     saturation_dn, gain_e_per_dn : float, optional
-        Of the detector.
+        Properties of the detector.
     """
     found: list[float] = []
     height, width = image.shape
@@ -66,9 +66,11 @@ def star_widths(
         if not inside or len(found) == _STARS:
             continue
         window = image[y - _HALF_PX : y + _HALF_PX + 1, x - _HALF_PX : x + _HALF_PX + 1].astype(np.float32)
+        # Negated, so that a window that is NaN throughout is rejected, too.
         if saturation_dn is not None and not np.nanmax(window) < _CEILING * saturation_dn:
             continue
         xx, yy, xy_ = _shape(window, float(xy[star, 0]) - x, float(xy[star, 1]) - y, gain_e_per_dn)
+        # The variances along the axes of the ellipse are middle ± spread.
         middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy_)
         if math.isfinite(middle) and middle + spread < _LONGEST_RATIO * (middle - spread):
             found.append(math.sqrt(middle))
@@ -83,6 +85,7 @@ def _shape(window: NDArray[np.float32], dx: float, dy: float, gain_e_per_dn: flo
     if len(values) < rim.sum() // 2:
         return math.nan, math.nan, math.nan
     level = float(np.median(values))
+    # In a noise-free image the scatter of the rim is zero, which would make the weights infinite.
     least = _NOISE_FREE * (float(np.nanmax(window)) - level)
     noise = max(_SIGMA_OF_MAD * float(np.median(np.abs(values - level))), least, 1e-30)
     flat = Background(np.full_like(window, level), np.full_like(window, noise))
@@ -133,18 +136,23 @@ class WidthFilter:
         self.variance_px2 += self.drift_px_sqrt_s**2 * dt_s
 
     def update(self, widths_px: FloatArray) -> bool:
-        """Update with the widths (N,) of the stars of a frame; whether they were used: three are needed, and their
-        median must be within five standard deviations of the prediction."""
+        """Update with the widths (N,) of the stars of a frame; returns whether they were used.
+
+        At least three are needed, and their median must be within five standard deviations of the prediction.
+        """
         widths_px = real_array("widths_px", widths_px, (None,))
         if len(widths_px) < _FEWEST:
             return False
         median = float(np.median(widths_px))
         count = len(widths_px)
         scatter = _SIGMA_OF_MAD * float(np.median(np.abs(widths_px - median))) * count / (count - _FEW_VALUES)
+        # Pooled variance: the frames' squared scatters are weighted by their degrees of freedom and fade with age.
         weight = count - 1.0
         self._scatter2 = _MEMORY * self._scatter2 + weight * scatter**2
         self._weight = _MEMORY * self._weight + weight
+        # Squared standard error of a median, π/2 times that of a mean.
         noise = max(_MEDIAN_ERROR**2 * self._scatter2 / self._weight / count, 1e-12)
+        # Without a calibration on the ground, the first frame gives the initial width.
         if math.isnan(self.width_px):
             self.width_px, self.frames = median, 1
             self.variance_px2 = min(self.variance_px2, noise)

@@ -34,8 +34,8 @@ from startracker.core import FloatArray
 from startracker.geometry.camera import Camera
 
 _DEGREE = 4
-"""Highest degree of the displacement. Of a sine with one period over the image 3 to 9 % remain; what remains of shorter
-periods differs from star to star, and is noise for the lens."""
+"""Highest degree of the displacement. Of a sine with one period over the image 3 to 9 % remain; the remainder of
+shorter periods differs from star to star, and is noise for the lens."""
 _OCTAVES = 11
 """Number of values of a, each half of the one before, from the largest one."""
 
@@ -50,12 +50,16 @@ class FrameInformation(NamedTuple):
 
 
 def field_columns(camera: Camera, xy: FloatArray) -> FloatArray:
-    """Displacements φ_k (M, 2, C) of positions (M, 2) in the image of a camera, each with the mean square 1 over the
-    image on one axis."""
+    """Displacements φ_k (M, 2, C) of positions (M, 2) in the image of a camera.
+
+    Each has a mean square of 1 over the image on one axis.
+    """
     size = np.array([camera.width, camera.height])
     x, y = (2.0 * (xy - (size - 1) / 2.0) / size).T
+    # Legendre polynomials of degree n have the mean square 1 / (2 n + 1) over [−1, 1].
     along, down = (legvander(t, _DEGREE) * np.sqrt(2.0 * np.arange(_DEGREE + 1) + 1.0) for t in (x, y))
     products = [along[:, i] * down[:, n - i] for n in range(2, _DEGREE + 1) for i in range(n + 1)]
+    # Of the linear terms, only the two shears: scale and rotation belong to the focal length and the attitude.
     columns = [np.stack([along[:, 1], -down[:, 1]], axis=1), np.stack([down[:, 1], along[:, 1]], axis=1)]
     for term in products:
         nothing = np.zeros_like(term)
@@ -68,14 +72,14 @@ FIELD_TERMS = 2 + 2 * sum(n + 1 for n in range(2, _DEGREE + 1))
 
 
 class ResidualField:
-    """Recursive estimate of the coefficients.
+    """Recursive estimate of the coefficients of the residual distortion.
 
     Parameters
     ----------
     parameters : int
         Number P of parameters of the lens.
     most_px : float
-        Largest rms value of the displacement on each axis, pixels; 0: none.
+        Largest rms value of the displacement on each axis, px; 0 disables the estimate.
     """
 
     def __init__(self, parameters: int, most_px: float) -> None:
@@ -85,7 +89,7 @@ class ResidualField:
         self.forget()
 
     def forget(self) -> None:
-        """Start again without any information."""
+        """Discard all information."""
         self.by_field: FloatArray = np.zeros((self._parameters, self.terms))
         """T (P, C): derivative of the lens estimated for c = 0."""
         self.information: FloatArray = np.zeros((self.terms, self.terms))
@@ -96,12 +100,12 @@ class ResidualField:
 
     @property
     def rms_px(self) -> float:
-        """Estimated rms value of the displacement on each axis: root of its mean square."""
+        """Estimated rms value of the displacement on each axis, px."""
         return math.sqrt(max(float(np.trace(self.moment)), 0.0) / 2.0) if self.terms else 0.0
 
     @property
     def moment(self) -> FloatArray:
-        """Second moment (C, C) of the coefficients: covariance, and square of the estimate."""
+        """Second moment (C, C) of the coefficients: covariance plus the square of the estimate."""
         return np.asarray(self.covariance + np.outer(self.mean, self.mean))
 
     def joint(self, lens: FloatArray) -> FloatArray:
@@ -110,7 +114,7 @@ class ResidualField:
         return np.block([[lens + crossed @ self.by_field.T, crossed], [crossed.T, self.covariance]])
 
     def without(self, frame: FrameInformation) -> FloatArray:
-        """Vector (P + C,) of a frame for the residuals of the lens estimated for c = 0 and of no displacement."""
+        """Vector (P + C,) of a frame for residuals relative to the lens estimated for c = 0 and no displacement."""
         change = np.concatenate([self.by_field @ self.mean, self.mean])
         return np.asarray(frame.vector + frame.matrix @ change)
 
@@ -126,7 +130,7 @@ class ResidualField:
         self._estimate()
 
     def _estimate(self) -> None:
-        """Mean and covariance of the coefficients over all rms values."""
+        """Mean and covariance of the coefficients, averaged over all rms values."""
         prior_px2 = 2.0 * self._sizes_px**2 / max(self.terms, 1)
         inverse = self.information + np.eye(self.terms) / prior_px2[:, None, None]
         covariances = np.linalg.inv(inverse)

@@ -1,4 +1,4 @@
-"""Results of a calibration, and as text: the camera file and a table for the terminal."""
+"""Results of a calibration, and their text: the camera file and a table for the terminal."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ class CalibratedField:
     xy: FloatArray
     """Measured centroids, pixels, (M, 2)."""
     catalog_id: NDArray[np.int64]
-    """Shape (M,)."""
+    """Number of each star in the catalogue, (M,)."""
     v_mag: FloatArray
-    """Shape (M,)."""
+    """V magnitudes, (M,)."""
     residual_px: FloatArray
     """Measured minus predicted, (M, 2)."""
     sigma_px: FloatArray
     """Standard error on one axis used in the fit, (M,)."""
     rejected: int
-    """Number of centroids with a catalogue star in the widest gate that differs by more than 3.7 robust σ, or in
-    brightness."""
+    """Number of centroids with a catalogue star in the widest gate whose position differs by more than 3.7 robust σ, or
+    whose brightness differs."""
     centroids: int
     """Number of all centroids of the image."""
     refraction: FloatArray
@@ -53,7 +53,7 @@ class CalibratedField:
 
     @property
     def rms_px(self) -> float:
-        """√(mean(dx² + dy²)): both axes together, as reported by tetra3."""
+        """√(mean(dx² + dy²)), px: both axes together, as reported by tetra3."""
         return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=1))))
 
 
@@ -66,9 +66,9 @@ class Calibration:
     camera : Camera
     names : tuple of str
         Fitted parameters, of `startracker.geometry.lens.PARAMETERS`; the others were not significant and have their
-        values of `startracker.geometry.lens.plain`.
+        values in `startracker.geometry.lens.plain`.
     covariance : (P, P)
-        Covariance of these, with errors scaled by √(χ²/ν) and the effect of the distortion `field_px`.
+        Covariance of the fitted parameters, with errors scaled by √(χ²/ν) and the effect of the distortion `field_px`.
     fields : tuple of CalibratedField
     plain_residual_px : list of (M, 2)
         Residuals of the same stars with a single focal length and no distortion.
@@ -118,7 +118,7 @@ class Calibration:
 
     @property
     def rms_arcsec(self) -> float:
-        """`rms_px` as an angle at the centre of the field."""
+        """`rms_px` as an angle at the centre of the field, arc seconds."""
         return self.rms_px * self.camera.pixel_rad / ARCSEC_RAD
 
     @property
@@ -147,7 +147,8 @@ class Calibration:
         return sum(f.rejected for f in self.fields)
 
     def values(self) -> dict[str, tuple[float, float, str]]:
-        """Value, standard error and unit of each parameter of the camera file; the error is 0 if it was held."""
+        """Value, standard error and unit of each parameter of the camera file; the error is 0 for a parameter that was
+        not fitted."""
         camera, names = self.camera, list(self.names)
         table: dict[str, tuple[float, float, str]] = {}
         stretch = np.zeros(len(names))

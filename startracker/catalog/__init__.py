@@ -15,7 +15,7 @@ from startracker.settings.registry import lookup
 __all__ = ["CATALOGS", "StarCatalog", "as_catalog", "load_bsc5", "load_catalog", "load_hipparcos", "merge_doubles"]
 
 CATALOGS = {"bsc5": load_bsc5, "hipparcos": load_hipparcos}
-"""Loaders by name; other packages add theirs in the entry-point group ``boresight.catalogs``."""
+"""Loaders by name; other packages register their own in the entry-point group ``boresight.catalogs``."""
 
 
 def load_catalog(name: str) -> StarCatalog:

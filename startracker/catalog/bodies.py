@@ -1,4 +1,5 @@
-"""Sun, Moon and planets among the detected objects: their directions at an epoch, and which centroids are theirs."""
+"""Sun, Moon and planets among the detected objects: their directions at an epoch, and the centroids that belong to
+them."""
 
 from __future__ import annotations
 
@@ -9,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.core import AU_KM, DAYS_PER_JULIAN_YEAR, J2000_JD_TT, SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.ephemeris import DE421_SPAN_JD, de421_file, outside_ephemeris
 from startracker.errors import InputError
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel
 from startracker.observer import Observer, aberrated
 
 _NAIF = {
@@ -28,15 +29,17 @@ _NAIF = {
     "Moon": (3, 301),
     "Earth": (3, 399),
 }
-"""Path of each body from the barycentre of the solar system in DE421's numbers; Moon and Earth are the last."""
+"""Path of each body from the barycentre of the solar system in DE421's numbers; the Moon and the Earth are the last."""
+# The Earth is never a target; the Moon is one only for an observer whose position is known.
 _FROM_ANYWHERE, _FROM_EARTH, _EARTH = tuple(_NAIF)[:-1], tuple(_NAIF)[:-2], len(_NAIF) - 1
 _NOWHERE, _AT_REST = np.full(3, np.nan), np.zeros(3)
 _STEP_DAYS = 0.5
-"""Step of the table: a cubic through positions and velocities is within 0.2 km of the Moon and 4 km of Mercury."""
+"""Step of the table, days: a cubic through positions and velocities is within 0.2 km of the Moon and 4 km of
+Mercury."""
 _TABLE_DAYS = 366.0
 _LIGHT_DAY_AU = SPEED_OF_LIGHT_KM_S * 86_400.0 / AU_KM
 _BODY_PX = 3.0
-"""Maximum distance of a planet's centroid from its prediction; that of a star is the same
+"""Largest distance of a planet's centroid from its prediction, px; that of a star is similar
 (`startracker.estimation.refine.NAMED_PX`)."""
 _RADIUS_RAD = {"Sun": math.radians(0.28), "Moon": math.radians(0.29)}
 _PLANET_RAD = math.radians(33.0 / 3600.0)
@@ -51,11 +54,11 @@ class SeenBodies(NamedTuple):
     name: NDArray[np.str_]
     """English names."""
     centroid: IntArray
-    """Row of the centroid of each."""
+    """Index of the centroid of each, (B,)."""
     xy: FloatArray
-    """(B, 2): Their centroids, pixels."""
+    """Their centroids, px, (B, 2)."""
     residual_px: FloatArray
-    """(B, 2): Measured minus predicted."""
+    """Measured minus predicted position, px, (B, 2)."""
 
 
 NO_BODIES = SeenBodies(np.empty(0, np.str_), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
@@ -63,11 +66,11 @@ NO_BODIES = SeenBodies(np.empty(0, np.str_), np.empty(0, np.int64), np.empty((0,
 
 
 def body_directions(observer: Observer) -> dict[str, FloatArray]:
-    """Unit vectors (3,), ICRS, of the bodies seen by an observer, with light time to first order.
+    """ICRS unit vectors (3,) of the bodies as seen by an observer, with light time to first order.
 
-    Aberration is included if the velocity is known, as in the directions that a tracker is given.
-    Without a position the observer is at the Earth's centre, from which the Moon is up to 1° away from where it is seen
-    on the ground; it is then left out. From DE421, within 0.1″ of Skyfield.
+    Aberration is included if the velocity is known, as in the directions that a tracker receives. Without a position
+    the observer is assumed at the Earth's centre, from which the direction of the Moon differs by up to 1° from that on
+    the ground; the Moon is then omitted. The directions are from DE421, and within 0.1″ of Skyfield.
 
     Raises
     ------
@@ -98,10 +101,10 @@ def seen_bodies(
     observer: Observer | None,
     stars: tuple[IntArray, FloatArray],
 ) -> SeenBodies:
-    """The centroids that are a body of the solar system, by its ephemeris.
+    """Centroids that belong to a body of the solar system, according to its ephemeris.
 
-    A centroid is a body's if it is the nearest to the predicted position, within 3 px and the radius of the disk, and
-    farther from the star with which it is identified, if any.
+    A centroid belongs to a body if it is the nearest to the predicted position, within 3 px and the radius of the disk,
+    and farther from the star with which it is identified, if any.
 
     Parameters
     ----------
@@ -112,9 +115,9 @@ def seen_bodies(
     matrix : (3, 3) array
         ICRS to camera.
     observer : Observer, optional
-        Its epoch, velocity and position; none, or a date outside DE421: no bodies.
+        Supplies epoch, velocity and position; without it, or for a date outside DE421, there are no bodies.
     stars : tuple
-        Rows (M,) of the identified centroids, and their residuals (M, 2), pixels.
+        Indices (M,) of the identified centroids, and their residuals (M, 2), px.
     """
     if observer is None or not len(xy):
         return NO_BODIES
@@ -141,8 +144,11 @@ def seen_bodies(
 
 
 def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: float) -> NDArray[np.bool_]:
-    """Which apparent directions (N, 3) are so close to a body of the solar system that its image may be taken for that
-    of a star there: within 6 px and the radius of the disk; none without an observer or for a date outside DE421."""
+    """Mask (N,) of apparent directions (N, 3) so close to a body of the solar system that its image may be mistaken for
+    a star.
+
+    They are within 6 px and the radius of the disk. All False without an observer or for a date outside DE421.
+    """
     beside = np.zeros(len(directions), dtype=bool)
     if observer is None:
         return beside
@@ -156,20 +162,22 @@ def beside_bodies(directions: FloatArray, observer: Observer | None, pixel_rad: 
 
 @kernel
 def _directions_from(here: FloatArray, beta: FloatArray, nodes: FloatArray, u: float, bodies: int) -> FloatArray:
-    """Unit vectors, ICRF axes, (bodies, 3), from a barycentric position (3,), au; NaN: from the Earth; with aberration
-    (`startracker.observer.aberrate`) for a velocity in units of that of light (3,).
+    """Unit vectors (bodies, 3), ICRF axes, from a barycentric position (3,), au, or from the Earth if that is NaN.
 
+    Aberration (`startracker.observer.aberrate`) is included for a velocity `beta` (3,) in units of that of light.
     `nodes` (2, 2, 10, 3) are two successive rows of `_table`: positions and velocities at the date `u` steps after the
-    first are those of a cubic, and light time is to first order.
+    first are those of a cubic (Hermite), and light time is to first order.
     """
     position, velocity, out = np.empty((_EARTH + 1, 3)), np.empty((_EARTH + 1, 3)), np.empty((bodies, 3))
     for body in range(_EARTH + 1):
         for axis in range(3):
             change = nodes[1, 0, body, axis] - nodes[0, 0, body, axis]
             left, right = nodes[0, 1, body, axis] - change, nodes[1, 1, body, axis] - change
+            # Cubic Hermite polynomial: the chord, plus u (1 − u) times the deviations of the end slopes from it.
             between = u * (1.0 - u) * ((1.0 - u) * left - u * right)
             position[body, axis] = nodes[0, 0, body, axis] + u * change + between
             slope = change + (1.0 - u) * (1.0 - 3.0 * u) * left - u * (2.0 - 3.0 * u) * right
+            # Per day instead of per step of the table.
             velocity[body, axis] = slope / _STEP_DAYS
     start = position[_EARTH] if math.isnan(here[0]) else here
     for body in range(bodies):
@@ -183,8 +191,10 @@ def _directions_from(here: FloatArray, beta: FloatArray, nodes: FloatArray, u: f
 
 @functools.lru_cache(maxsize=4)
 def _table(number: int) -> tuple[float, FloatArray]:
-    """First date of the year of this number from J2000, and the table (T, 2, 10, 3) of barycentric positions of the
-    bodies, au, and of their changes in a step."""
+    """Table (T, 2, 10, 3) of barycentric positions of the bodies, au, and of their changes per step, for one year.
+
+    Also returns the first date of the year, which is numbered from J2000.
+    """
     from jplephem.spk import SPK
 
     first_jd = J2000_JD_TT + _TABLE_DAYS * number
@@ -192,7 +202,9 @@ def _table(number: int) -> tuple[float, FloatArray]:
     segments: dict[int, FloatArray] = {}
     with SPK.open(str(de421_file())) as kernel:
         for segment in kernel.segments:
+            # The tables of the first and last years extend beyond DE421; `_directions` rejects such dates.
             position_km, velocity_km_day = segment.compute_and_differentiate(np.clip(jd, *DE421_SPAN_JD))
             segments[segment.target] = np.stack([position_km, velocity_km_day * _STEP_DAYS]) / AU_KM
     paths = [np.sum([segments[number] for number in path], axis=0) for path in _NAIF.values()]
+    # From (body, position or change, axis, time) to the order in which one date is contiguous.
     return first_jd, np.ascontiguousarray(np.array(paths).transpose(3, 1, 0, 2))

@@ -52,7 +52,7 @@ def parse_bsc5(data: bytes) -> StarCatalog:
         dec_rad=np.radians(dec_deg),
         pm_ra_rad_yr=table.number(149, 154, missing=0.0) * ARCSEC_RAD,
         pm_dec_rad_yr=table.number(155, 160, missing=0.0) * ARCSEC_RAD,
-        # a few trigonometric parallaxes are negative: the distance is then unknown
+        # A few trigonometric parallaxes are negative; the distance is then unknown.
         parallax_rad=np.maximum(table.number(162, 166, missing=0.0), 0.0) * ARCSEC_RAD,
         radial_velocity_km_s=table.number(167, 170, missing=0.0),
         v_mag=table.number(103, 107),
@@ -78,7 +78,7 @@ def _variable(table: FixedWidth) -> NDArray[np.bool_]:
 def _names(table: FixedWidth) -> NDArray[np.str_]:
     """Bayer letter and constellation ("Alp1 Cen"), else Flamsteed number ("33 Psc"), else an empty string."""
     flamsteed, bayer, constellation = table.text(5, 7), table.text(8, 11), table.text(12, 14)
-    # the superscript has its own column
+    # The superscript is in its own column.
     designation = np.where(bayer != "", np.char.replace(bayer, " ", ""), flamsteed)
     names = np.char.add(np.char.add(designation, " "), constellation)
     return np.where(designation != "", names, "")

@@ -1,6 +1,6 @@
-"""Cache of parsed catalogues, and of tables made from them, in the user's cache folder.
+"""Cache of parsed catalogues, and of tables computed from them, in the user's cache folder.
 
-It only saves time: any error is treated as a cache miss.
+The cache only saves time: any error is treated as a cache miss.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def store(key: str, catalog: StarCatalog) -> None:
 def load_arrays(key: str) -> dict[str, NDArray[Any]] | None:
     """The arrays stored under `key`; None if there are none or they cannot be read."""
     try:
-        # opened here because NumPy leaves a damaged file open
+        # The file is opened here because NumPy leaves a damaged file open.
         with (folder() / f"{key}.npz").open("rb") as file, np.load(file, allow_pickle=False) as stored:
             return dict(stored)
     except _UNUSABLE:

@@ -55,7 +55,7 @@ def merge_doubles(catalog: StarCatalog, separation_rad: float) -> StarCatalog:
     flux = np.where(np.isfinite(catalog.v_mag), 10.0 ** (-0.4 * catalog.v_mag), 0.0)
     total = np.bincount(label, flux, groups)
     alone = np.bincount(label, minlength=groups) == 1
-    # the brightest of each group is the last in the order of (label, flux)
+    # The brightest star of each group is the last one in the order of (label, flux).
     order = np.lexsort((-np.arange(n), flux, label))
     brightest = order[np.flatnonzero(np.diff(label[order], append=groups))]
 

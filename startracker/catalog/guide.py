@@ -55,7 +55,8 @@ class PairList:
 
     @classmethod
     def of(cls, directions: FloatArray, index: IntArray, max_rad: float, min_rad: float = 0.0) -> PairList:
-        """Pairs of the stars `index` of unit vectors `directions` (N, 3), `min_rad` ≤ separation ≤ `max_rad`."""
+        """Pairs of the stars `index` among unit vectors `directions` (N, 3), with `min_rad` ≤ separation ≤
+        `max_rad`."""
         points = directions[index]
         if len(index) < 500:  # the cone of a prior: all pairs at once
             i, j = np.triu_indices(len(index), 1)
@@ -66,7 +67,8 @@ class PairList:
         separation = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y + z * z) / 2.0, 1.0))
         keep = np.flatnonzero((separation >= min_rad) & (separation <= max_rad))
         kept = separation[keep]
-        order = np.argsort(kept)  # a tenth of the time of a stable sort, which only equal separations need
+        # The default sort takes a tenth of the time of a stable one, which is needed only if separations are equal.
+        order = np.argsort(kept)
         if (np.diff(kept[order]) == 0.0).any():
             order = np.argsort(kept, kind="stable")
         order = keep[order]
@@ -93,10 +95,12 @@ def close_pairs(
 
 
 def brightest_everywhere(directions: FloatArray, radius_rad: float, limit: int) -> NDArray[np.bool_]:
-    """Mask (N,) of stars, given brightest first, with fewer than about `limit` brighter chosen stars in `radius_rad`.
+    """Mask (N,) of stars, given brightest first, with fewer than about `limit` brighter selected stars within
+    `radius_rad`.
 
-    Makes the density uniform, so that dense and sparse parts of the sky give the same number of patterns. The stars are
-    processed in batches of increasing size; the number in a circle exceeds `limit` at most by those of one batch.
+    The selection makes the density uniform, so that dense and sparse parts of the sky have the same number of patterns.
+    The stars are processed in batches of increasing size; the number in a circle exceeds `limit` by at most the number
+    in one batch.
     """
     n = len(directions)
     chosen = np.zeros(n, dtype=bool)
@@ -158,7 +162,8 @@ class GuideDatabase:
         return _build(catalog, camera, float(magnitude_limit), chosen.close_pair_deg, chosen.close_pair_magnitude)
 
     def apparent_to(self, observer: Observer | None) -> GuideDatabase:
-        """The same stars for an observer: space motion, annual parallax and aberration of light."""
+        """The same stars in apparent directions for an observer: space motion, annual parallax and aberration of
+        light."""
         if observer is None:
             return self
         years = observer.epoch_jyear - self.catalog.epoch_jyear
@@ -211,12 +216,12 @@ class GuideDatabase:
 
     @property
     def half_diagonal_rad(self) -> float:
-        """Largest angle between the boresight and a corner of the image."""
+        """Largest angle between the boresight and a corner of the image, rad."""
         return self._field[0]
 
     @property
     def solid_angle_sr(self) -> float:
-        """Solid angle of the image."""
+        """Solid angle of the image, sr."""
         return self._field[1]
 
     @property
@@ -224,7 +229,7 @@ class GuideDatabase:
         """All pairs of pattern stars over the whole sky that fit into the field; computed on first use.
 
         Separations are those of the barycentric directions within 2.5 years of `epoch_jyear`. Aberration changes them
-        by at most 1e-4, for which matching must allow.
+        by at most 1e-4 of the separation, which matching must allow.
         """
         return self.pairs_within(1.0)
 
@@ -246,7 +251,7 @@ class GuideDatabase:
 
     @property
     def view(self) -> SkyView:
-        """The stars and the field as kernels take them; grid and outline are computed on first use."""
+        """The stars and the field in the form that kernels read; grid and outline are computed on first use."""
         if not self._shape:
             self._shape.append(field_shape(self.camera))
         return SkyView(self.directions, self.v_mag, self.grid, self._shape[0], self.solid_angle_sr)
@@ -295,6 +300,7 @@ def field_of(camera: Camera) -> tuple[float, float]:
     y = np.linspace(-0.5, camera.height - 0.5, 25)
     grid = camera.unproject(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(25, 25, 3)
     down, across = grid[1:, 1:] - grid[:-1, :-1], grid[:-1, 1:] - grid[1:, :-1]
+    # Half the cross product of its diagonals is the area of a quadrilateral.
     area = 0.5 * np.linalg.norm(np.cross(down, across), axis=-1)
     half_diagonal = camera.half_diagonal_rad
     if not (math.isfinite(half_diagonal) and np.isfinite(area).any()):
@@ -331,5 +337,5 @@ def _build(
 
 
 def _deep_enough(catalog: StarCatalog, magnitude_limit: float) -> StarCatalog:
-    # two equal stars merge to one 0.75 mag brighter, so fainter components must be included
+    # Two equal stars merge into one that is 0.75 mag brighter, so fainter components must be included.
     return catalog.brighter_than(magnitude_limit + 0.8)

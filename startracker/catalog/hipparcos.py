@@ -96,6 +96,8 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
         cached = cache.load(key)
         if cached is not None:
             return cached
+        # V is corrected before `complete`, which matches by position and brightness; the radial velocities are
+        # corrected after it, because it copies them from ``bsc5``.
         precise = corrected(parse_hip2(path.read_bytes()), "v_mag")
         catalog = corrected(complete(precise, load_bsc5()), "radial_velocity_km_s")
     except OSError as error:
@@ -173,6 +175,7 @@ def corrected(catalog: StarCatalog, column: str) -> StarCatalog:
     return replace(catalog, **columns)
 
 
+# First and last byte of each column, counted from 1, as in the ReadMe of CDS I/311.
 _NEEDED = {
     "HIP": (1, 6),
     "RArad": (16, 28),
@@ -240,10 +243,12 @@ def _missing(bright: StarCatalog, precise: StarCatalog, found: IntArray) -> NDAr
     light[found[has]] = 10.0 ** (-0.4 * bright.v_mag[has])
     missing = ~has
     for k in np.flatnonzero(missing[star]):
+        # An entry that is matched with no other star of `bright` cannot combine two of them.
         if light[entry[k]] == 0.0:
             continue
         alone = -2.5 * np.log10(light[entry[k]])
         together = -2.5 * np.log10(light[entry[k]] + 10.0 ** (-0.4 * bright.v_mag[star[k]]))
+        # The entry contains both stars if its magnitude is closer to that of their combined light.
         of_both = abs(precise.v_mag[entry[k]] - together) < abs(precise.v_mag[entry[k]] - alone)
         if distance[k] < _CERTAIN_ARCSEC or of_both:
             missing[star[k]] = False
@@ -254,5 +259,6 @@ def _neighbours(bright: StarCatalog, precise: StarCatalog) -> tuple[IntArray, In
     """All pairs within the search radius at the epoch of `bright`: indices and separation, arcseconds."""
     u, w = bright.directions(bright.epoch_jyear), precise.directions(bright.epoch_jyear)
     near = cKDTree(u).sparse_distance_matrix(cKDTree(w), _SEARCH_ARCSEC * ARCSEC_RAD, output_type="ndarray")
+    # scipy does not specify the order of the pairs.
     near = near[np.lexsort((near["j"], near["i"]))]
     return near["i"].astype(np.int64), near["j"].astype(np.int64), near["v"] / ARCSEC_RAD

@@ -64,6 +64,7 @@ def constellation_lines(catalog: StarCatalog) -> tuple[NDArray[np.int64], NDArra
     for line in data_lines("constellations.txt"):
         own, chains = line.split(":")
         for chain in chains.split(";"):
+            # A star without a constellation belongs to the constellation of its line.
             stars = [star.strip() if " " in star.strip() else f"{star.strip()} {own}" for star in chain.split(",")]
             for one, other in itertools.pairwise(stars):
                 if one in row and other in row:
@@ -76,9 +77,11 @@ def designation_rows(catalog: StarCatalog) -> dict[str, int]:
     """Row of each designation; a Bayer letter without superscript refers to the brightest such star."""
     rows: dict[str, int] = {}
     named = np.flatnonzero(catalog.star_name != "")
+    # Brightest first, so that `setdefault` gives a designation to the brightest of its stars.
     for i in named[np.argsort(catalog.v_mag[named], kind="stable")]:
         letter, _, constellation = " ".join(str(catalog.star_name[i]).split()).partition(" ")
         rows.setdefault(f"{letter} {constellation}", int(i))
+        # "Alp1 Cen" is also "Alp Cen", but the Flamsteed number of "61 Cyg" is not shortened.
         if not letter.isdigit():
             rows.setdefault(f"{letter.rstrip('0123456789')} {constellation}", int(i))
     return rows
@@ -148,6 +151,7 @@ def _object(line: str) -> DeepSkyObject:
     match = re.fullmatch(r"([+-])(\d+) (\d+)", dec)
     if kind not in KINDS or match is None:
         raise ValueError(f"deep_sky.txt: cannot read the line of {designation}")
+    # The sign is taken from the text, because −0° 12′ has zero degrees.
     dec_deg = math.copysign(int(match[2]) + int(match[3]) / 60.0, -1.0 if match[1] == "-" else 1.0)
     ra_deg = 15.0 * (hours + minutes / 60.0)
     return DeepSkyObject(designation, other, kind, ra_deg, dec_deg, float(v_mag), float(diameter), constellation, name)

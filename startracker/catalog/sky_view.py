@@ -1,7 +1,7 @@
-"""Guide stars by direction and the camera's field, as arrays for kernels.
+"""Guide stars by direction, and the camera's field, as arrays for kernels.
 
-The cube of a star follows from its unit vector by three divisions. Stars within a chord of a direction are in the cubes
-that intersect a box of that half side. Kernels take the grid as plain arrays.
+The cube in which a star lies follows from its unit vector by three multiplications. All stars within a chord of a
+direction are in the cubes that intersect a box of that half side. Kernels receive the grid as plain arrays.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import HEIGHT, WIDTH, ImageMap, to_pixels
-from startracker.kernels import kernel, kernel_part, pixel_kernel
 from startracker.observer import aberrated
 from startracker.sorting import sort
 
@@ -24,15 +24,15 @@ _STEPS_PER_SIDE = 200
 
 
 class FieldShape(NamedTuple):
-    """Outline of an image on the unit sphere: the minimum cosine of the angle from the image centre at each azimuth.
+    """Outline of an image on the unit sphere: the least cosine of the angle from the image centre at each azimuth.
 
-    Valid for outlines that every ray from the centre crosses once, as that of a whole image does.
+    It is valid for outlines that every ray from the centre crosses once, such as that of a whole image.
     """
 
     axes: FloatArray
     """Rows, (3, 3): two transverse directions and the image centre, in the camera frame."""
     least_cosine: FloatArray
-    """At azimuths from −π, in steps of half a degree, (720,)."""
+    """Least cosine at azimuths from −π in steps of half a degree, (720,)."""
     widest_cosine: float
     """Minimum of `least_cosine`."""
 
@@ -44,11 +44,13 @@ def field_shape(camera: Camera, margin_px: float = 2.0) -> FieldShape:
     along = np.linspace(0.0, 1.0, _STEPS_PER_SIDE, endpoint=False)
     x = np.concatenate([low_x + along * (high_x - low_x), np.full(len(along), high_x)])
     y = np.concatenate([np.full(len(along), low_y), low_y + along * (high_y - low_y)])
+    # The other two sides are the first two, reflected through the image centre.
     rim = np.concatenate([np.stack([x, y], 1), np.stack([low_x + high_x - x, low_y + high_y - y], 1)])
     middle = np.array([[0.5 * (camera.width - 1), 0.5 * (camera.height - 1)]])
     centre = camera.unproject(middle)[0]
     if not np.isfinite(centre).all():
         centre = np.array([0.0, 0.0, 1.0])
+    # Any transverse axis will do; the y axis is replaced where the centre is nearly parallel to it.
     across = np.cross([0.0, 1.0, 0.0] if abs(centre[1]) < 0.9 else [1.0, 0.0, 0.0], centre)
     across /= np.linalg.norm(across)
     axes = np.stack([across, np.cross(centre, across), centre])
@@ -61,8 +63,10 @@ def field_shape(camera: Camera, margin_px: float = 2.0) -> FieldShape:
 
 
 def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArray:
-    """Directions (N, 3) of the rim's points, or of the outermost points towards them that have a direction."""
+    """Directions (N, 3) of the points of the rim, or of the outermost points towards them for which the lens is
+    invertible."""
     vectors = camera.unproject(rim)
+    # Points are moved towards the centre in steps of 2 % until the lens model can be inverted there.
     for share in np.linspace(0.98, 0.02, 49):
         lost = ~np.isfinite(vectors).all(axis=1)
         if not lost.any():
@@ -71,11 +75,12 @@ def _outermost(camera: Camera, middle: FloatArray, rim: FloatArray) -> FloatArra
     return vectors[np.isfinite(vectors).all(axis=1)]
 
 
-@kernel_part
+@kernel
 def in_shape(x: float, y: float, z: float, shape: FieldShape) -> bool:
     """Whether a unit vector in the camera frame is on the image."""
     axes = shape.axes
     cosine = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    # Most stars of the sky are rejected here, before the arctangent.
     if cosine < shape.widest_cosine:
         return False
     across = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z
@@ -92,10 +97,10 @@ def in_shape(x: float, y: float, z: float, shape: FieldShape) -> bool:
 _STARS_PER_CUBE = 2.0
 _MOST_CUBES_PER_AXIS = 96
 DRIFT = 2e-4
-"""Maximum motion of a star after the grid was built, for all but a few stars: aberration (26″) and two decades of
+"""Largest motion of a star, rad, after the grid was built, for all but a few stars: aberration (26″) and two decades of
 proper motion."""
 _LARGEST_DRIFT = 2e-3
-"""The same for the fastest stars over half a century; added to the radius of a cone."""
+"""The same for the fastest stars over half a century; it is added to the radius of a cone."""
 
 
 class VoxelGrid(NamedTuple):
@@ -111,6 +116,7 @@ class VoxelGrid(NamedTuple):
 
 def voxel_grid(directions: FloatArray) -> VoxelGrid:
     """Grid of unit vectors (N, 3), with about two stars per cube that intersects the sphere."""
+    # The sphere's area, 4π, intersects about 4π / side² cubes.
     side = math.sqrt(4.0 * math.pi * _STARS_PER_CUBE / max(len(directions), 1))
     per_axis = min(max(int(2.0 / side), 1), _MOST_CUBES_PER_AXIS)
     cell = np.clip(((directions + 1.0) * (0.5 * per_axis)).astype(np.int64), 0, per_axis - 1)
@@ -128,9 +134,10 @@ def _cell_range(centre: float, reach: float, per_axis: int) -> tuple[int, int]:
     return min(max(low, 0), per_axis - 1), min(max(high, 0), per_axis - 1)
 
 
-@kernel_part
+@kernel
 def star_within(x: float, y: float, z: float, chord2: float, directions: FloatArray, grid: VoxelGrid) -> bool:
     """Whether a star is within √`chord2` of the unit vector (x, y, z)."""
+    # The grid contains directions without the aberration and proper motion of those that are compared.
     reach = math.sqrt(chord2) + DRIFT
     x0, x1 = _cell_range(x, reach, grid.per_axis)
     y0, y1 = _cell_range(y, reach, grid.per_axis)
@@ -138,6 +145,7 @@ def star_within(x: float, y: float, z: float, chord2: float, directions: FloatAr
     for i in range(x0, x1 + 1):
         for j in range(y0, y1 + 1):
             row = (i * grid.per_axis + j) * grid.per_axis
+            # Cubes along z are contiguous, so a column of cubes is one range of members.
             for m in range(grid.start[row + z0], grid.start[row + z1 + 1]):
                 star = grid.members[m]
                 dx, dy, dz = directions[star, 0] - x, directions[star, 1] - y, directions[star, 2] - z
@@ -150,7 +158,7 @@ def star_within(x: float, y: float, z: float, chord2: float, directions: FloatAr
 def stars_in_cone(
     x: float, y: float, z: float, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> NDArray[np.int32]:
-    """Stars whose angle to the unit vector (x, y, z) has at least this cosine, in the order of the grid."""
+    """Stars whose angle to the unit vector (x, y, z) has at least this cosine, (K,), in the order of the grid."""
     reach = math.sqrt(max(2.0 - 2.0 * cosine, 0.0)) + _LARGEST_DRIFT
     x0, x1 = _cell_range(x, reach, grid.per_axis)
     y0, y1 = _cell_range(y, reach, grid.per_axis)
@@ -164,6 +172,7 @@ def stars_in_cone(
                 star = grid.members[m]
                 if directions[star, 0] * x + directions[star, 1] * y + directions[star, 2] * z >= cosine:
                     if count == len(out):
+                        # Doubling limits the cost of all copies to that of filling the array.
                         longer = np.empty(2 * count, np.int32)
                         for k in range(count):
                             longer[k] = out[k]
@@ -177,8 +186,11 @@ def stars_in_cone(
 def stars_around(
     matrix: FloatArray, cosine: float, directions: FloatArray, grid: VoxelGrid
 ) -> tuple[IntArray, FloatArray]:
-    """Indices, ascending, of the stars within an angle with this cosine of the boresight at the attitude `matrix`
-    (3, 3), and their vectors (K, 3) in the camera frame."""
+    """Stars within a cone around the boresight at the attitude `matrix` (3, 3).
+
+    Returns their indices (K,), ascending, and their vectors (K, 3) in the camera frame. `cosine` is that of the half
+    angle of the cone.
+    """
     near = stars_in_cone(matrix[2, 0], matrix[2, 1], matrix[2, 2], cosine, directions, grid)
     index, vectors = np.empty(len(near), np.int64), np.empty((len(near), 3))
     for k in range(len(near)):
@@ -199,8 +211,11 @@ def stars_around(
 def stars_on_image(
     matrix: FloatArray, cosine: float, margin_px: float, directions: FloatArray, grid: VoxelGrid, image: ImageMap
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Indices, ascending, of the stars on an image enlarged by a margin, at the attitude `matrix` (3, 3), their vectors
-    (K, 3) in the camera frame and pixels (K, 2). `cosine` is that of the largest angle from the boresight."""
+    """Stars on an image enlarged by a margin, at the attitude `matrix` (3, 3).
+
+    Returns their indices (K,), ascending, vectors (K, 3) in the camera frame, and pixels (K, 2). `cosine` is that of
+    the largest angle from the boresight.
+    """
     index, vectors = stars_around(matrix, cosine, directions, grid)
     xy = to_pixels(vectors, image)
     low, right, bottom = -0.5 - margin_px, image[WIDTH] - 0.5 + margin_px, image[HEIGHT] - 0.5 + margin_px
@@ -215,19 +230,19 @@ def stars_on_image(
 
 
 class SkyView(NamedTuple):
-    """Guide stars and the camera's field, as kernels take them."""
+    """Guide stars and the camera's field in the form that kernels read."""
 
     directions: FloatArray
     """Unit vectors, brightest first, (G, 3)."""
     v_mag: FloatArray
-    """Shape (G,)."""
+    """V magnitudes, (G,)."""
     grid: VoxelGrid
     shape: FieldShape
     area: float
     """Solid angle of the image, sr."""
 
 
-@pixel_kernel
+@kernel
 def apparent_directions(
     start: FloatArray, motion: FloatArray, parallax: FloatArray, years: float, position_au: FloatArray, beta: FloatArray
 ) -> FloatArray:
@@ -255,5 +270,6 @@ def apparent_directions(
         x = start[0, i] + years * motion[0, i] - p * position_au[0]
         y = start[1, i] + years * motion[1, i] - p * position_au[1]
         z = start[2, i] + years * motion[2, i] - p * position_au[2]
+        # The length of (x, y, z) is not 1; `aberrated` allows for it.
         out[i, 0], out[i, 1], out[i, 2] = aberrated(x, y, z, velocity)
     return out

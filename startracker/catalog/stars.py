@@ -48,7 +48,7 @@ class StarCatalog:
     position_sigma_rad : float
         Standard error of the positions on one axis, which the tracker adds to that of its centroids.
     variable : bool array
-        Known to vary in brightness, according to the catalogue; all False by default. Such a star may be brighter or
+        Whether the catalogue lists the star as variable; all False by default. A variable star may be brighter or
         fainter than `v_mag`.
     """
 
@@ -92,7 +92,8 @@ class StarCatalog:
             object.__setattr__(self, column, array)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Unpickled columns are read-only again: for writeable ones, another type, kernels would be compiled again."""
+        """Unpickle with read-only columns: numba treats writeable arrays as another type, and would compile the kernels
+        again."""
         for name, value in state.items():
             object.__setattr__(self, name, read_only(value) if isinstance(value, np.ndarray) else value)
 
@@ -157,6 +158,7 @@ class StarCatalog:
         distance = np.linalg.norm(moved, axis=1)
         ra, dec = direction_to_radec(moved)
         east, north = _east_north(ra, dec)
+        # Radial component of the motion, in distances per year; with the parallax it is a velocity.
         radial = np.einsum("ij,ij->i", moved, motion) / distance
         near = self.parallax_rad > 0.0
         speed = radial[near] * _AU_PER_YEAR_IN_KM_S / self.parallax_rad[near]

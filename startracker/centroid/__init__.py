@@ -1,4 +1,4 @@
-"""Measuring where a candidate is: centroiders by name in `METHODS`."""
+"""Centroiders, which measure the positions of star candidates, by name in `METHODS`."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ __all__ = [
 ]
 
 Centroider: TypeAlias = Callable[[Image, Background, Spots, CentroidSettings, float | None], Centroids]
-"""Signature of a centroider: image (float32 or uint16), background, spots, settings, gain in electrons a DN
-or None."""
+"""Signature of a centroider: image (float32 or uint16), background, spots, settings, gain in electrons per DN or
+None."""
 
 METHODS: dict[str, Centroider] = {
     "moment": first_moment,
@@ -33,7 +33,7 @@ METHODS: dict[str, Centroider] = {
     "least_squares": least_squares,
     "maximum_likelihood": maximum_likelihood,
 }
-"""Centroiders by name; packages add theirs in the entry-point group ``boresight.centroiders``."""
+"""Centroiders by name; packages register their own in the entry-point group ``boresight.centroiders``."""
 
 
 def __dir__() -> list[str]:

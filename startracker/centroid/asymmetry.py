@@ -1,18 +1,19 @@
-"""Displacement of stars of different brightness by an asymmetric star image, measured from the frame.
+"""Displacement of stars of different brightness by an asymmetric star image, measured in the frame itself.
 
-A symmetric image that is fitted to an asymmetric one (coma, jitter within an exposure) gives a position that depends on
-the weights of the pixels. They are equal for a faint star, whose noise is that of the background, and fall towards the
-middle for a bright one, whose noise is that of its own light. So faint stars are displaced against those that define
-positions (`startracker.centroid.skewness.REFERENCE_CONTRAST`), all in the same direction, and no residual of the
-positions shows it: a coma of 0.1 waves at f/4 moves faint stars by 0.15 px.
+If a symmetric model is fitted to an asymmetric image (coma, jitter within an exposure), the position depends on the
+weights of the pixels. The weights are equal for a faint star, whose noise is that of the background, and decrease
+towards the middle for a bright star, whose noise is its own photon noise. So faint stars are displaced relative to the
+stars that define positions (`startracker.centroid.skewness.REFERENCE_CONTRAST`), all in the same direction, and the
+residuals of the positions do not show it: a coma of 0.1 waves at f/4 moves faint stars by 0.15 px.
 
-Any bright star shows how far, as its pixels can be fitted with either weights. With u_n the position of star n with
-equal weights minus that with the weights of the reference, and v_n the variance of this difference by noise, the common
-difference is the weighted mean of u_n; its scatter beyond v_n, by the stars' sub-pixel positions, is estimated as in
-DerSimonian & Laird (1986, *Controlled Clinical Trials* 7, 177). It is averaged over two models (Hoeting et al. 1999,
-*Statistical Science* 14, 382): the image is symmetric, or the difference is normal with a standard deviation τ on a
-grid. A star of another contrast c, photon noise over background noise (variances) in its brightest pixel, is displaced
-by g(c) of it, with g = 1 for faint stars and 0 at the reference.
+Every bright star shows the size of the effect, because its pixels can be fitted with either weights. Let u_n be the
+position of star n with equal weights minus that with the weights of the reference, and v_n the variance of this
+difference due to noise. The common difference is the weighted mean of the u_n; their scatter beyond v_n, from the
+stars' sub-pixel positions, is estimated as in DerSimonian & Laird (1986, *Controlled Clinical Trials* 7, 177). The mean
+is averaged over two models (Hoeting et al. 1999, *Statistical Science* 14, 382): the image is symmetric, or the
+difference is Gaussian with a standard deviation τ on a grid. A star of another contrast c, the ratio of photon to
+background noise (variances) in its brightest pixel, is displaced by g(c) times the difference, with g = 1 for faint
+stars and 0 at the reference.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_model import PsfModel, Samples, gaussian_psf
@@ -32,32 +34,32 @@ from startracker.centroid.skewness import REFERENCE_CONTRAST
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 
 _Star: TypeAlias = tuple[float, float, float]
-"""Position, px, and flux, DN."""
+"""Position x, y, px, and flux, DN, of a star."""
 
 _EXAMINED = 27
 _SYMMETRIC = 0.4
 """Prior probability that star images are symmetric."""
 EXAMINED_ASYMMETRIC, LEAST_ASYMMETRIC = 0.15, 0.5
-"""Probability of an asymmetric image from which the ellipse of the reference's weights is fitted, which shows the
-difference better; and with it, from which that ellipse is used for all stars, and positions are corrected."""
+"""Thresholds of the probability of an asymmetric image. Above the first, the ellipse of the reference's weights is
+fitted, which measures the difference better; above the second, with that ellipse, it is used for all stars and
+positions are corrected."""
 _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
-"""Grid of τ in widths of the star image, pixel included: 0.05 to 0.2 waves of coma give 0.08 to 0.4."""
+"""Grid of τ in widths of the star image, including the pixel: 0.05 to 0.2 waves of coma cause 0.08 to 0.4 widths."""
 _MODEL_ERROR = 0.45
-"""Standard deviation of the actual displacement of faint stars relative to the measured one: for coma of 0.05 to 0.2
-waves at f/4 to f/1.4, in focus and 40 um out of it, between 0.8 and 1.6 of it."""
+"""Relative standard deviation of the actual displacement of faint stars about the measured one: for coma of 0.05 to 0.2
+waves at f/4 to f/1.4, in focus and 40 µm out of focus, their ratio is 0.8 to 1.6."""
 _OTHER_ELLIPSE = 2.0
-"""Ratio of the displacement of faint stars that are fitted with the ellipse of their own weights to that measured with
-it, as this ellipse has another zero: for coma of 0.05 and 0.1 waves at f/4 two to three."""
+"""Ratio of two displacements of faint stars: fitted with the ellipse of their own weights, and with the ellipse of the
+reference, which has another zero point: two to three for coma of 0.05 and 0.1 waves at f/4."""
 _LARGEST_AWAY = 6.9
 """ln 1000: exceeded by one star in a thousand."""
 _STEPS = 2
 _LONGEST_STEP_PX, _FARTHEST_PX = 0.5, 2.0
 _MOST_WINDOWS = 4
 _LEAST_SIGMA_PX = 0.01
-"""Standard error below which brighter stars have no larger weight in the mean displacement, as in the attitude."""
+"""Standard error below which a brighter star gets no larger weight in the mean displacement, as in the attitude."""
 _PIXEL = 1.0 / 12.0
 _FAINT, _BRIGHT, _CONTRASTS = 0.03, 1e5, 80
 
@@ -68,13 +70,13 @@ class Difference(NamedTuple):
     Parameters
     ----------
     mean : (2,)
-        Pixels; zero where the image is symmetric.
+        Pixels; zero if the image is symmetric.
     covariance : (2, 2)
-        Of the mean, px².
+        Covariance of the mean, px².
     asymmetric : float
         Probability that the star image is asymmetric.
     dark : float
-        Variance of a pixel of the background, DN².
+        Variance of a background pixel, DN².
     """
 
     mean: FloatArray
@@ -84,14 +86,14 @@ class Difference(NamedTuple):
 
 
 def measure_difference(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray, half: int) -> Difference:
-    """The difference between faint stars and those of the reference, from the brightest stars of a frame.
+    """Difference in position between faint stars and those of the reference, from the brightest stars of a frame.
 
     Parameters
     ----------
     psf : PsfModel
-        The star image that was fitted.
+        The fitted star image.
     table : (N, 6)
-        Fits.
+        Fits, see `startracker.centroid.psf_kernel.FITTED`.
     unfit : bool (N,)
         Stars that are saturated or at the border.
     half : int
@@ -111,17 +113,19 @@ def measure_difference(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: 
 
 def _examined(table: FloatArray, unfit: BoolArray) -> IntArray:
     x, y, flux = np.ascontiguousarray(table[:, :3].T)
+    # At most nine isolated stars among the 27 brightest.
     stars: IntArray = brightest_alone(x, y, flux, unfit, _EXAMINED)
-    # two windows of a tracked frame may show one star
+    # Two windows of a tracked frame may contain the same star.
     apart = np.abs(table[stars, None, :2] - table[None, stars, :2]).max(axis=2)
     repeated: BoolArray = np.triu(apart < 1.0, 1).any(axis=0)
     return stars[~repeated]
 
 
 def _are_single(differences: FloatArray, variance: FloatArray) -> BoolArray:
-    """Stars (N,) whose difference (N, 2) is near the median of all: an unresolved pair has a difference of its own.
+    """Mask (N,) of stars whose difference (N, 2) is near the median of all; that of an unresolved pair is not.
 
-    Squares over twice the variance are distributed exponentially; their median, ln 2, shows the scatter beyond it.
+    The squared distance over twice the variance is distributed exponentially, with a median of ln 2; a larger median
+    shows scatter in addition to the noise.
     """
     away = np.square(differences - np.median(differences, axis=0)).sum(axis=1) / (2.0 * variance)
     scatter = max(float(np.median(away)) / math.log(2.0), 1.0)
@@ -130,10 +134,15 @@ def _are_single(differences: FloatArray, variance: FloatArray) -> BoolArray:
 
 
 def _pooled(differences: FloatArray, variance: FloatArray) -> tuple[FloatArray, float]:
-    """Weighted mean (2,) of differences (N, 2) of known variance (N,) on one axis and unknown scatter, its variance."""
+    """Weighted mean (2,) of differences (N, 2), and its variance on one axis.
+
+    The differences have known variances (N,) on one axis and an additional scatter, which is estimated from their χ².
+    """
     weight = 1.0 / variance
     total = float(weight.sum())
     mean = weight @ differences / total
+    # DerSimonian & Laird's Q minus its expectation, with 2 (N − 1) degrees of freedom for two axes; `information` is
+    # the factor by which the variance of the scatter raises it.
     excess = float(weight @ np.square(differences - mean).sum(axis=1)) - 2.0 * (len(variance) - 1)
     information = 2.0 * (total - float(weight @ weight) / total)
     if excess > 0.0 and len(variance) > 2:
@@ -144,13 +153,16 @@ def _pooled(differences: FloatArray, variance: FloatArray) -> tuple[FloatArray, 
 
 
 def _averaged(mean: FloatArray, variance: float, width: float, dark: float) -> Difference:
-    """Average over the models of the module's docstring, for a mean (2,) with a variance on one axis."""
+    """Average over the models of the module's docstring for a mean (2,) whose variance on one axis is given."""
     square = float(mean @ mean)
+    # The symmetric model is the first of the grid, τ = 0.
     tau2 = np.array([0.0, *((share * width) ** 2 for share in _DIFFERENCES)])
     prior = np.array([_SYMMETRIC, *[(1.0 - _SYMMETRIC) / len(_DIFFERENCES)] * len(_DIFFERENCES)])
+    # Likelihood of the mean under each model, a two-dimensional Gaussian of variance v + τ² on either axis.
     log_weight = np.log(prior) - np.log(variance + tau2) - 0.5 * square / (variance + tau2)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()
+    # A model with τ shrinks the mean by τ² / (v + τ²), the posterior mean for a Gaussian prior.
     kept = tau2 / (variance + tau2)
     average = float(weight @ kept)
     within = float(weight @ kept) * variance
@@ -162,9 +174,10 @@ def _averaged(mean: FloatArray, variance: float, width: float, dark: float) -> D
 def correct_asymmetry(
     found: Difference, pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray
 ) -> FloatArray:
-    """Take the displacement against stars of the reference off the positions of fits (N, 6), in place, and add what
-    differs between stars to their covariances. Where the image is more probably symmetric, but not surely so, the
-    positions stay, and the displacement is part of the covariances.
+    """Subtract the displacement relative to reference stars from the positions of fits (N, 6), in place.
+
+    The part of its error that differs between stars is added to their covariances. If the image is probably, but not
+    certainly, symmetric, the positions are not changed and the displacement is included in the covariances.
 
     Returns
     -------
@@ -179,10 +192,12 @@ def correct_asymmetry(
     square = found.covariance
     if not corrected:
         square = _OTHER_ELLIPSE**2 * (found.covariance + np.outer(found.mean, found.mean))
+    # Peak signal of a Gaussian star, DN, whose variances include that of the pixel.
     light = table[stars, 2] / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     contrast = (light * pixels.inverse_gain + (pixels.flat_error * light) ** 2) / found.dark
     part = displaced_part(contrast)
     weight = 1.0 / np.maximum(table[stars, 3] + table[stars, 4], 2.0 * _LEAST_SIGMA_PX**2)
+    # Stars are weighted as in the attitude: what they share on average is the common error, the rest is their own.
     middle = float(weight @ part / weight.sum())
     if corrected:
         table[stars, :2] -= part[:, None] * found.mean
@@ -193,16 +208,17 @@ def correct_asymmetry(
 
 
 def displaced_part(contrast: FloatArray) -> FloatArray:
-    """g: displacement of stars of a contrast relative to that of faint ones, against those of the reference."""
+    """Function g: displacement of stars of a contrast, relative to the reference, as a fraction of that of faint
+    stars."""
     at, part = _parts()
     return np.interp(np.log1p(contrast), at, part)
 
 
 @lru_cache(maxsize=1)
 def _parts() -> tuple[FloatArray, FloatArray]:
-    """ln(1 + c) and g(c), for a round Gaussian G with a third cumulant along x, to first order.
+    """Nodes ln(1 + c) and g(c), for a round Gaussian G with a third cumulant along x, to first order.
 
-    The fit with weights 1/(1 + c G) is displaced in proportion to Σ w ∂G ∂³G / Σ w (∂G)². Computed for images with coma
+    A fit with weights 1/(1 + c G) is displaced in proportion to Σ w ∂G ∂³G / Σ w (∂G)². For images computed with coma
     of 0.05 to 0.3 waves at f/1.4 to f/4, g differs from this by at most 0.1 up to the reference.
     """
     u = np.linspace(-6.0, 6.0, 121)
@@ -220,15 +236,16 @@ def _parts() -> tuple[FloatArray, FloatArray]:
 
 
 def reference_psf(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray, half: int) -> PsfModel | None:
-    """The Gaussian that is fitted to the brightest stars with the weights of the reference; None if there is none.
+    """The Gaussian fitted to the brightest stars with the weights of the reference; None if the fit fails.
 
-    The ellipse of an asymmetric image depends on the weights as well: positions by the ellipse of other weights have
-    another zero.
+    The ellipse of an asymmetric image depends on the weights as well: positions from the ellipse of other weights have
+    another zero point.
     """
     stars = _examined(table, unfit)
     x, y = np.ascontiguousarray(table[:, :2].T)
     starts = Starts(x, y, np.full(len(table), half), np.full(len(table), np.inf))
     shape, least, half = psf.shape, half, min(2 * half, LARGEST_HALF_PX)
+    # The window depends on the width that is fitted in it, so both are iterated.
     for _ in range(_MOST_WINDOWS):
         (xx, yy, xy), errors = fit_gaussian(pixels, starts, stars, half, shape, REFERENCE_CONTRAST)
         if not (xx > 0.0 and xx * yy - xy * xy > 0.0):
@@ -243,7 +260,7 @@ def reference_psf(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolA
 
 @kernel
 def _measure(pixels: Pixels, psf: Samples, table: FloatArray, stars: IntArray, half: int, found: FloatArray) -> None:
-    """Fills the differences (N, 4) of stars: x, y, variance on one axis, variance of a dark pixel."""
+    """Fill the differences (N, 4) of stars: x, y, px; variance on one axis, px²; variance of a dark pixel, DN²."""
     side = 2 * half + 1
     count = side * side
     slopes, lines, work = np.empty((3, count)), np.empty((6, max(side, 8))), np.empty((3, count))
@@ -266,6 +283,8 @@ def _measure(pixels: Pixels, psf: Samples, table: FloatArray, stars: IntArray, h
             continue
         found[k, 0], found[k, 1] = at[0, 0] - at[1, 0], at[0, 1] - at[1, 1]
         fill_window(psf, left - star[0], top - star[1], side, side, slopes, lines)
+        # Both positions come from the same pixels, so the noise of their difference is that of the difference of the
+        # gains.
         total, dark = 0.0, 0.0
         for n in range(count):
             light = max(star[2] * slopes[0, n], 0.0)
@@ -276,13 +295,16 @@ def _measure(pixels: Pixels, psf: Samples, table: FloatArray, stars: IntArray, h
         found[k, 2], found[k, 3] = total, dark
 
 
-@kernel_part
+@kernel
 def _fit_weighted(
     psf: Samples, star: _Star, window: tuple[int, int, int], contrast: float, work: FloatArray, slopes: FloatArray,
     lines: FloatArray, gains: FloatArray, at: FloatArray,
 ) -> bool:  # fmt: skip
-    """Position of a star, to `at` (2,), with the weights of a contrast, and its derivatives by the pixels, to `gains`
-    (2, N). `work` (3, N) holds the signal and the variance in the dark."""
+    """Fit the position of a star with the weights of a contrast.
+
+    `at` (2,) receives the position, px, and `gains` (2, N) its derivatives with respect to the pixels, px/DN. `work`
+    (3, N) holds the signal, DN, and the variance in the dark, DN². Returns whether the fit succeeded.
+    """
     (x, y, flux), (left, top, side) = star, window
     count, normal, right = side * side, np.empty((3, 3)), np.empty(3)
     for step in range(_STEPS):
@@ -301,18 +323,19 @@ def _fit_weighted(
                 right[p] += scaled * rest
                 for q in range(p + 1):
                     normal[p, q] += scaled * slopes[q, n]
-        if not factorise(normal, 3):
+        if not factorise(normal, len(normal)):
             return False
+        # The first step linearises at the position that both weights share, so that the two gains are comparable.
         if step == 0:
             for axis in range(2):
                 column = np.zeros(3)
                 column[1 + axis] = 1.0
-                substitute(normal, 3, column)
+                substitute(normal, len(normal), column)
                 for n in range(count):
                     gains[axis, n] = work[2, n] * (
                         column[0] * slopes[0, n] + column[1] * slopes[1, n] + column[2] * slopes[2, n]
                     )
-        substitute(normal, 3, right)
+        substitute(normal, len(normal), right)
         longest = max(abs(right[1]), abs(right[2]))
         if not math.isfinite(longest + right[0]):
             return False

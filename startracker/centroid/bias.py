@@ -1,4 +1,4 @@
-"""The bias of a first moment over a finite window, and its exact inverse, for Gaussian star images."""
+"""Bias of the first moment over a finite window, and its exact inverse, for Gaussian star images."""
 
 from __future__ import annotations
 
@@ -6,39 +6,40 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 _SQRT_HALF = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 _CONVERGED = 1e-13
 _UNGUARDED = 8
 _STEEP = 0.05
-"""Slope from which Newton's method is tried without a bracket."""
+"""Least slope of the mean against the centre for which Newton's method is tried without a bracket."""
 _NEAR = 1e-6
-"""From there its next step, the last one, ends within 1e-11."""
+"""Error of the mean, px, after which the next Newton step, which is then the last, is exact to 1e-11 px."""
 GUESSES, _STEP_PX = 9, 0.125
 _FLAT = 1e-6
 """Slope of the mean against the centre below which the window no longer determines the position."""
 _NO_LIGHT = 1e-280
 SMALLEST_SIGMA_PX = 0.1
-"""Narrower images lie within one pixel wherever they are; their position is not in the moments."""
+"""Narrower images lie within one pixel at nearly all positions, and their moments do not determine the position."""
 
 
 @kernel
 def window_moments(
     centre: float, sigma: float, low: int, high: int
 ) -> tuple[float, float, float, float, float, float, float]:
-    """A unit Gaussian, integrated over pixels, seen through the pixels low … high of one axis.
+    """Moments of a unit Gaussian, integrated over pixels, in the pixels `low` … `high` of one axis.
 
     Returns
     -------
     light, mean, variance : float
-        Of the light in the window.
+        Of the light in the window; mean in px, variance in px².
     mean_by_centre, mean_by_sigma, variance_by_centre, variance_by_sigma : float
         Derivatives.
     """
-    # sums of share, and of its derivatives by centre (c) and width (s), times 1, k, k² about the window's middle
+    # Sums of the share (m) and of its derivatives by centre (c) and width (s), times 1, k, k² about the window's
+    # middle.
     middle = 0.5 * (low + high)
     m0, m1, m2, c0, c1, c2, s0, s1, s2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     u = (low - 0.5 - centre) / sigma
@@ -46,7 +47,8 @@ def window_moments(
     for pixel in range(low, high + 1):
         u_next = (pixel + 0.5 - centre) / sigma
         tail_next, density_next = 0.5 * math.erfc(abs(u_next) * _SQRT_HALF), math.exp(-0.5 * u_next * u_next) * _DENSITY
-        # the tails beyond both edges, on the side where they are small, keep the digits that a difference of erf loses
+        # Tails beyond both edges, on the side where they are small, keep the digits that a difference of erf would
+        # lose.
         if u > 0.0:
             share = tail - tail_next
         elif u_next < 0.0:
@@ -73,8 +75,8 @@ def window_moments(
 def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[float, float]:
     """Centre of the pixel-integrated Gaussian whose mean over the window is `moment`, and d(centre)/d(moment).
 
-    The mean grows steadily with the centre: Newton's method, within a bracket of one window about the middle where it
-    does not get there by itself. The slope is infinite for a moment that no centre in the bracket explains.
+    The mean increases monotonically with the centre. Newton's method is used, within a bracket of one window about the
+    middle if it does not converge without. The slope is infinite if no centre in the bracket has this moment.
     """
     centre, slope, _light = invert_from(moment, moment, sigma, low, high)
     return centre, slope
@@ -82,7 +84,7 @@ def invert_moment(moment: float, sigma: float, low: int, high: int) -> tuple[flo
 
 @kernel
 def invert_from(guess: float, moment: float, sigma: float, low: int, high: int) -> tuple[float, float, float]:
-    """The same from a first guess; also the light in the window of a Gaussian at the last centre but one."""
+    """`invert_moment` from a first guess; also returns the light in the window, for the last centre but one."""
     middle = 0.5 * (low + high)
     reach = float(high - low + 1)
     left, right = middle - reach, middle + reach
@@ -116,8 +118,8 @@ def invert_from(guess: float, moment: float, sigma: float, low: int, high: int) 
 
 @kernel_part
 def fill_centres(sigma: float, half: int, table: FloatArray) -> None:
-    """Means over a whole window of Gaussians that many eighths of a pixel off its middle, and d(centre)/d(mean), to
-    `table` (`GUESSES`, 2)."""
+    """Table (`GUESSES`, 2) of the mean over a full window, and d(centre)/d(mean), of Gaussians 0, ⅛, ¼, … 1 px off its
+    middle."""
     for k in range(GUESSES):
         _light, mean, _variance, slope, _a, _b, _c = window_moments(k * _STEP_PX, sigma, -half, half)
         table[k, 0], table[k, 1] = mean, 1.0 / slope
@@ -125,7 +127,8 @@ def fill_centres(sigma: float, half: int, table: FloatArray) -> None:
 
 @kernel_part
 def guess_centre(moment: float, table: FloatArray) -> float:
-    """Centre by cubic interpolation in a table of `fill_centres`, to some 1e-6 px; beyond it the moment."""
+    """Centre by cubic interpolation in a table of `fill_centres`, to about 1e-6 px; beyond the table, the moment
+    itself."""
     mean, k = abs(moment), 0
     while k < GUESSES - 1 and not mean < table[k + 1, 0]:
         k += 1
@@ -133,22 +136,22 @@ def guess_centre(moment: float, table: FloatArray) -> float:
         return moment
     span = table[k + 1, 0] - table[k, 0]
     t = (mean - table[k, 0]) / span
-    # Hermite's: the rise beyond the line through both ends
+    # Hermite interpolation: the deviation from the line through both ends.
     first, last = table[k, 1] * span - _STEP_PX, table[k + 1, 1] * span - _STEP_PX
     centre = (k + t) * _STEP_PX + t * (1.0 - t) * ((1.0 - t) * first - t * last)
     return math.copysign(centre, moment) if math.isfinite(centre) else moment
 
 
-@kernel_part
+@kernel
 def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[float, float]:
-    """Centre and width of the pixel-integrated Gaussian with this mean and variance over the window.
+    """Centre and width of the pixel-integrated Gaussian with this mean and variance over the window, px.
 
-    The width is bracketed between a tenth of a pixel and the window; the centre follows it. It is NaN when the
-    variance is that of no such Gaussian.
+    The width is bracketed between a tenth of a pixel and the window; the centre follows from it. The width is NaN if no
+    such Gaussian has this variance.
     """
     narrow, wide = SMALLEST_SIGMA_PX, float(high - low + 1)
     sigma = min(max(math.sqrt(max(variance, 0.01)), narrow), wide)
-    # both at once, which most often gets there by itself
+    # Newton's method for both unknowns at once, which usually converges without a bracket.
     middle, centre, width = 0.5 * (low + high), mean, sigma
     for _ in range(_UNGUARDED):
         _light, here, found, mean_c, mean_s, variance_c, variance_s = window_moments(centre, width, low, high)
@@ -171,7 +174,7 @@ def invert_moments(mean: float, variance: float, low: int, high: int) -> tuple[f
             wide = sigma
         else:
             narrow = sigma
-        # along the curve of constant mean
+        # Derivative of the variance by the width along the curve of constant mean.
         rate = variance_s - variance_c * mean_s / mean_c if mean_c > _FLAT else 0.0
         guess = sigma - error / rate if rate > _FLAT else narrow
         sigma = guess if narrow < guess < wide else 0.5 * (narrow + wide)
@@ -183,8 +186,8 @@ def moment_bias(
 ) -> FloatArray:
     """Offset of a star from the centre of its window minus the first moment measured there (Greyling 1995, Table 4.1).
 
-    b(d) = d − Σ k p_k(d) / Σ p_k(d), k = −n … n, with p_k the light of a Gaussian in pixel k
-    (``integrated``: Φ((k + ½ − d)/σ) − Φ((k − ½ − d)/σ); else its value at the pixel's centre, as in Greyling 1995).
+    b(d) = d − Σ k p_k(d) / Σ p_k(d), k = −n … n, where p_k is the light of a Gaussian in pixel k (``integrated``: Φ((k
+    + ½ − d)/σ) − Φ((k − ½ − d)/σ); otherwise its value at the pixel's centre, as in Greyling 1995).
 
     Parameters
     ----------
@@ -200,7 +203,7 @@ def moment_bias(
     Returns
     -------
     array
-        Bias in pixels, of the shape of `offset_px`; to be added to the measured moment at that offset.
+        Bias, px, with the shape of `offset_px`; add it to the moment measured at that offset.
     """
     n = window_px // 2
     offsets = np.asarray(offset_px, dtype=float)

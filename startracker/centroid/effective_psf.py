@@ -1,4 +1,4 @@
-"""The star image of a camera, from the stars of its frames."""
+"""Effective point-spread function of a camera, measured from the stars of its frames."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _KNOTS_A_PIXEL = 2
 _OVERSAMPLING = 8
 _ROUNDS = 12
 _CONVERGED = 1e-3
-"""Largest change of the image in a round, as a share of its peak."""
+"""Largest change of the image in a round, as a share of its peak, at which the iteration ends."""
 _LEAST_STARS = 8
 _MARGIN_PX = 3.0
 _ROUGHNESS = 1e-3
-"""Weight of the third differences, relative to the mean weight of the data; more smooths the image itself."""
+"""Weight of the third differences relative to the mean weight of the data; a larger one smooths the image itself."""
 _CLIP_SIGMA = 5.0
 _CONDITION = 1e3
 _DEGREE = 3
@@ -46,7 +46,7 @@ class _Basis:
         self._low, self._high = knots[_DEGREE], knots[-_DEGREE - 1]
 
     def __call__(self, distance: FloatArray) -> FloatArray:
-        """Integrals over the pixel at each distance from the star, (…, count); the image ends at the radius."""
+        """Integrals (…, count) over the pixel at each distance from the star; the image is zero beyond the radius."""
         upper = np.clip(distance + 0.5, self._low, self._high)
         lower = np.clip(distance - 0.5, self._low, self._high)
         return np.asarray(self._integral(upper) - self._integral(lower))
@@ -59,28 +59,28 @@ def build_effective_psf(
     gain_e_per_dn: float | None = None,
     most_stars: int = 400,
 ) -> PsfModel:
-    """The star image of a camera, measured from stars of one or more of its frames.
+    """Effective point-spread function of a camera, measured from stars of one or more of its frames.
 
-    After Anderson & King (2000): the effective point-spread function and the stars' positions and fluxes are improved
-    in turn from the same pixels. Here the image is a spline and both are found by one weighted least-squares
-    adjustment, so that there is neither a grid to bin samples into nor a smoothing kernel to choose.
+    After Anderson & King (2000), the effective point-spread function and the stars' positions and fluxes are improved
+    from the same pixels. Here the image is a spline, and everything is solved for in one weighted least-squares
+    adjustment, which needs neither a grid for binned samples nor a smoothing kernel.
 
     Parameters
     ----------
     frames : sequence of (image, background, spots)
-        Some tens of clean stars in all at least, at all sub-pixel phases; a hundred or more are better. Saturated
-        stars, those at the border, and those with a neighbour within twice the radius are left out.
+        At least some tens of clean stars in total, at all sub-pixel phases; a hundred or more are better. Saturated
+        stars, stars at the border, and stars with a neighbour within twice the radius are excluded.
     radius_px : float
-        Where the image ends; light further out is not missed by the fits, whose windows are smaller.
+        Radius at which the image ends; light beyond it does not affect the fits, whose windows are smaller.
     gain_e_per_dn : float, optional
-        As for the centroiders.
+        Gain, as for the centroiders.
     most_stars : int
-        The brightest are taken.
+        Number of stars to use, brightest first.
 
     Returns
     -------
     PsfModel
-        Normalised to the light within the radius; its centre is that of the Gaussian that fits it best.
+        Normalised to unit light within the radius; its centre is that of the Gaussian that fits it best.
 
     Raises
     ------
@@ -89,13 +89,13 @@ def build_effective_psf(
 
     Notes
     -----
-    p(u, v) = Σ c_jk B_j(u) B_k(v), B a cubic spline of half-pixel knots already integrated over the pixel: what is
-    sought is the optical image, which the pixels only sample. The stars' x, y and ln F are eliminated from each star's
-    equations (their columns are projected out), which makes it a Gauss-Newton step in image and positions together.
-    Alternation alone hardly moves in the direction in which a shift of every star by some function of its phase is
-    made up for by the image, the way in which the phase errors of the first centroids imprint on the image. A small
-    weight against the third differences of c holds what the data leave open. Scale and centre are fixed by two further
-    conditions. Stars of χ² beyond five standard deviations of the others' are dropped.
+    p(u, v) = Σ c_jk B_j(u) B_k(v), where B is a cubic spline with half-pixel knots, already integrated over the pixel:
+    the unknown is the optical image, which the pixels only sample. The stars' x, y and ln F are eliminated from each
+    star's equations (their columns are projected out), which makes each round a Gauss–Newton step in image and
+    positions together. Alternating between the two hardly converges in one direction, in which the image compensates a
+    shift of each star that depends on its phase; this is how the phase errors of the first centroids imprint on the
+    image. A small penalty on the third differences of c determines what the data leave open. Scale and centre are fixed
+    by two further conditions. Stars whose χ² exceeds that of the others by five standard deviations are dropped.
     """
     radius_px = real_number("the radius of a star image, radius_px,", radius_px, least=2.0, most=20.0)
     most_stars = whole_number("most_stars", most_stars, least=1)
@@ -111,7 +111,7 @@ def build_effective_psf(
     grid = np.arange(-reach, reach + 1) / _OVERSAMPLING
     on_grid = basis(grid)
     shape = psf.shape
-    # the Gaussian in the basis
+    # The iteration starts with the Gaussian, expressed in the basis.
     inverse = np.linalg.pinv(on_grid)
     coefficients = inverse @ psf.shares(grid, grid[:, None]) @ inverse.T
     for _ in range(_ROUNDS):
@@ -125,6 +125,7 @@ def build_effective_psf(
             fits[rows] = fit_stars(plain, psf.samples, starts, np.arange(len(rows)), True)
         misfit = fits[:, 6] / fits[:, 7]
         usual = np.nanmedian(misfit)
+        # √(2/ν) is the standard deviation of χ²/ν by noise alone; it keeps the limit open where the stars agree well.
         spread = 1.4826 * np.nanmedian(np.abs(misfit - usual)) + np.sqrt(2.0 / np.nanmedian(fits[:, 7]))
         good = np.flatnonzero(misfit < usual + _CLIP_SIGMA * spread)
         before = coefficients
@@ -137,7 +138,8 @@ def build_effective_psf(
 def _clean_stars(
     prepared: Sequence[Prepared], spots: Sequence[Spots], radius_px: float, half: int, most: int
 ) -> tuple[FloatArray, PsfModel]:
-    """Flux, number of the frame, x and y (N, 4) of the brightest clean stars; the Gaussian of the frame with most."""
+    """Flux, frame number, x and y (N, 4) of the brightest clean stars, and the Gaussian of the frame with most of
+    them."""
     chosen, models = [], []
     for number, (frame, found) in enumerate(zip(prepared, spots, strict=True)):
         if not len(found):
@@ -192,6 +194,7 @@ def _adjust(
         variance = frame.pixels.noise[cut].astype(float) ** 2 + np.maximum(model, 0) * frame.pixels.inverse_gain
         weight = np.where(np.isfinite(data), 1.0 / np.sqrt(variance), 0.0).ravel()
         data = np.where(np.isfinite(data), data, 0.0)
+        # The star's own unknowns x, y and ln F are eliminated by projecting their columns out of the equations.
         nuisance = [along_y @ coefficients @ by_x.T, by_y @ coefficients @ along_x.T, p]
         own, _ = np.linalg.qr(np.stack([column.ravel() for column in nuisance], axis=1) * weight[:, None])
         rows = np.einsum("aj,bk->abjk", along_y, along_x).reshape(len(weight), count**2) * (flux * weight)[:, None]
@@ -206,7 +209,7 @@ def _adjust(
     penalty = _ROUGHNESS * scale * (np.kron(rough, np.eye(count)) + np.kron(np.eye(count), rough))
     normal += penalty
     right -= penalty @ coefficients.ravel()
-    # scale: all light; centre: no moment under the Gaussian nearest the core
+    # Two strongly weighted conditions: the total light is fixed, and the first moment under the Gaussian is zero.
     xx, yy, xy = shape
     at = np.linspace(-basis.radius_px, basis.radius_px, 12 * count + 1)
     values = basis(at)

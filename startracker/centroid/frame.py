@@ -1,4 +1,4 @@
-"""What all centroiders share: checked input, measurement by moments, and the covariance of what is found."""
+"""Steps that all centroiders share: checks of the input, measurement by moments, covariances of the results."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.centroid.bias import SMALLEST_SIGMA_PX, window_moments
 from startracker.centroid.result import Centroids
 from startracker.centroid.window import Peaks, Pixels, frame_widths, measure_stars
@@ -16,15 +17,14 @@ from startracker.detection.spots import Spots
 from startracker.detection.tiles import sample_plane
 from startracker.detection.values import Image, as_pixels
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 
 MODEL_STARS = 9
-"""Brightest clean stars from which the star image is measured."""
+"""Number of the brightest clean stars from which the star image is measured."""
 _APART_PX = 16.0
 _UNKNOWN_SIGMA_PX = 1.0
 SYSTEMATIC_PX = 0.005
-"""Systematic error floor of a position's standard deviation: the star image is not quite the assumed one."""
+"""Systematic error floor of a position, px: the actual star image differs slightly from the assumed one."""
 
 
 class Prepared(NamedTuple):
@@ -38,11 +38,8 @@ class Prepared(NamedTuple):
 def prepare(
     image: Image, background: Background, settings: CentroidSettings | None, gain_e_per_dn: float | None
 ) -> Prepared:
-    """Check what a centroider is given; see `first_moment` for the meaning and the errors raised."""
+    """Check the arguments of a centroider; see `first_moment` for their meaning and the errors raised."""
     settings = settings or CentroidSettings()
-    window = settings.window_px
-    if window < 3 or window % 2 == 0:
-        raise InputError(f"centroid.window_px is {window}; it must be an odd number of at least 3 pixels")
     given = settings.psf_sigma_px
     if given is not None and not SMALLEST_SIGMA_PX <= given < math.inf:
         raise InputError(
@@ -55,13 +52,15 @@ def prepare(
         raise InputError(f"the image is {values.shape} but its background {background.shape}; compute it again")
     gain = gain_e_per_dn or (_gain_from_background(background) if values.size else 1.0)
     level, noise = background.level_plane, background.noise_plane
-    return Prepared(Pixels(values, level, noise, 1.0 / gain, float(settings.flat_field_error)), settings, window // 2)
+    return Prepared(
+        Pixels(values, level, noise, 1.0 / gain, float(settings.flat_field_error)), settings, settings.window_px // 2
+    )
 
 
 def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[float, float]]:
-    """Measurements (N, 6) in the order of the spots, see `startracker.centroid.window`, and the widths taken.
+    """Measurements (N, 6) in the order of the spots, see `startracker.centroid.window`, and the widths used, px.
 
-    NaN where nothing like a star image could be measured.
+    NaN where no star image could be measured.
     """
     given = frame.settings.psf_sigma_px
     sigma_x, sigma_y = (given, given) if given else _widths(frame, spots)
@@ -71,10 +70,10 @@ def measure_moments(frame: Prepared, spots: Spots) -> tuple[FloatArray, tuple[fl
 
 
 def measure_psf_sigma(image: Image, background: Background, spots: Spots, window_px: int = 5) -> tuple[float, float]:
-    """Widths (σ_x, σ_y), pixels, of a frame's star images: medians over its brightest clean stars.
+    """Widths (σ_x, σ_y), px, of a frame's star images: medians over its brightest clean stars.
 
-    The mean and variance of a star over its window give centre and width of the pixel-integrated Gaussian that has
-    them; saturated stars and those on the border are left out. (1, 1) when no star can be measured.
+    Centre and width are those of the pixel-integrated Gaussian with the same mean and variance over the window.
+    Saturated stars and stars on the border are excluded. (1, 1) if no star can be measured.
     """
     return _widths(prepare(image, background, CentroidSettings(window_px=window_px), 1.0), spots)
 
@@ -86,7 +85,10 @@ def _widths(frame: Prepared, spots: Spots) -> tuple[float, float]:
 
 @kernel
 def brightest_alone(x: FloatArray, y: FloatArray, flux: FloatArray, unfit: BoolArray, looked_at: int) -> IntArray:
-    """The brightest stars, at most `MODEL_STARS`, with no other within 16 px, of the brightest that are fit for it."""
+    """Indices of the brightest isolated stars, at most `MODEL_STARS`.
+
+    The `looked_at` brightest stars that are not `unfit` are examined; isolated means that no other is within 16 px.
+    """
     out, count = np.empty(MODEL_STARS, np.int64), 0
     done = unfit.copy()
     for _ in range(looked_at):
@@ -115,10 +117,10 @@ def collect(
     together: IntArray | None = None,
     systematic_px: float = SYSTEMATIC_PX,
 ) -> Centroids:
-    """Centroids of the finite rows of a table of measurements: with the floor and the neighbours' light added.
+    """Centroids from the finite rows of a table of measurements, with the error floor and the neighbours' light added.
 
-    A position with an error larger than the window is left out, as the detection alone is better. `together` numbers
-    stars that were measured jointly; their light does not disturb each other.
+    A position whose error exceeds the window is dropped, because the detection alone is more accurate. `together`
+    numbers groups of stars that were fitted jointly, whose light does not disturb the others of the group.
     """
     finite = np.isfinite(table.sum(axis=1))
     order = np.argsort(np.where(finite, -table[:, 2], np.inf), kind="stable")[: np.count_nonzero(finite)]
@@ -134,8 +136,11 @@ def collect(
 def _covariances(
     table: FloatArray, sigmas: tuple[float, float], half: int, together: IntArray, systematic_px: float
 ) -> FloatArray:
-    """Covariances (N, 2, 2), px², of measurements: the other stars' light in a star's window can shift its position by
-    share × half a window, on either axis."""
+    """Covariances (N, 2, 2), px², of measurements, including the light of neighbours.
+
+    The light of other stars in a star's window can shift its position by at most their share of the light × half a
+    window on either axis.
+    """
     out = np.empty((len(table), 2, 2))
     reach = half + 4.0 * max(sigmas[0], sigmas[1])
     for star in range(len(table)):
@@ -153,7 +158,8 @@ def _covariances(
 
 
 def _gain_from_background(background: Background) -> float:
-    """Electrons a DN as if the background's noise were its photon noise; an offset in the level makes it too large."""
+    """Gain in e⁻/DN, assuming that the noise of the background is its photon noise; an offset in the level makes it too
+    large."""
     planes = background.level_plane, background.noise_plane
     level, noise = (float(np.median(sample_plane(plane, 16, 16).astype(np.float64))) for plane in planes)
     return max(level, noise) / noise**2

@@ -1,4 +1,4 @@
-"""First moment over a small window, freed of its bias (Greyling 1995, section 4.3)."""
+"""First moment over a small window, corrected for its bias (Greyling 1995, section 4.3)."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ def first_moment(
     settings: CentroidSettings | None = None,
     gain_e_per_dn: float | None = None,
 ) -> Centroids:
-    """Centroids by the first moment of the signal over a window about the brightest pixel.
+    """Centroids by the first moment of the signal over a window around the brightest pixel.
 
-    The moment of a truncated window falls short of the offset (Greyling 1995, Table 4.1). For a star image that is a
-    Gaussian integrated over pixels the shortfall along x depends on x alone, and is undone exactly, axis by axis, by
-    solving m(d) = m for the offset d (see `startracker.centroid.bias`), windows cut off by the image's border included.
-    Smear widens the Gaussian along its axis: widths are per axis. When the offset exceeds half a pixel the window is
-    moved and measured again, so that it does not matter which of two equal pixels was taken for the brightest.
+    The moment over a truncated window is smaller than the offset of the star (Greyling 1995, Table 4.1). For a Gaussian
+    integrated over pixels the deficit along x depends on x only, and is corrected exactly, axis by axis, by solving
+    m(d) = m for the offset d (see `startracker.centroid.bias`), also for windows cut off by the border of the image.
+    Smear widens the Gaussian along its direction, so each axis has its own width. If the offset exceeds half a pixel,
+    the window is moved and measured again; so it does not matter which of two equal pixels was taken as the brightest.
 
-    Of a faint star the outer pixels of the window bring more noise than light: the 3 × 3 about its middle are taken
-    where the corrected moment of these is the more certain one and star images are not wider than σ = 1.1 px (a wider
+    For a faint star the outer pixels of the window contribute more noise than light. The 3 × 3 pixels around its middle
+    are used instead if their corrected moment is more accurate and star images are not wider than σ = 1.1 px (a wider
     one may be a short streak, whose middle pixels do not determine its position).
 
-    The covariance is that of the moments under photon and background noise, times the slope of the correction, plus
-    a floor of 0.005 px and, for a star with neighbours, the shift their light in its window can cause at most. A
-    saturated star is measured over a window grown by its radius, uncorrected, with 0.05 px and a quarter of the
-    difference of its two widths (bleeding) added.
+    The covariance is that of the moments due to photon and background noise, times the slope of the correction, plus a
+    floor of 0.005 px and, for a star with neighbours, the largest shift that their light in its window can cause. A
+    saturated star is measured without correction in a window enlarged by its radius, with 0.05 px and a quarter of the
+    difference of its two widths (bleeding) added to its error.
 
-    Images smeared by 3 to 5 px are not Gaussian, and a window of five pixels does not hold them: errors are up to
-    twice those stated. The fits of the star image know what they are.
+    Images smeared by 3 to 5 px are not Gaussian and do not fit into a window of five pixels: errors are up to twice the
+    stated ones. The centroiders that fit the star image do not have this limitation.
 
     Parameters
     ----------
@@ -52,16 +52,16 @@ def first_moment(
     spots : Spots
         Candidates.
     settings : CentroidSettings
-        Window, correction and width; a width of None is measured from the frame (`measure_psf_sigma`).
+        Window, correction and width; if the width is None it is measured in the frame (`measure_psf_sigma`).
     gain_e_per_dn : float, optional
-        Conversion for the photon noise; None: the background's noise is taken for the photon noise of its level.
+        Conversion for the photon noise; None: the background's noise is assumed to be the photon noise of its level.
 
     Returns
     -------
     Centroids
-        Brightest first. A candidate with a pixel in the window that is not finite gets its `weighted_moment`, which
-        leaves such pixels out. Candidates without a positive signal, or whose moment no star in the window explains,
-        are left out.
+        Brightest first. A candidate with a pixel in its window that is not finite gets its `weighted_moment`, which
+        ignores such pixels. Candidates without a positive signal, or whose moment no star in the window can have, are
+        dropped.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def first_moment(
 
 
 def _any_gap(image: Image, xs: IntArray, ys: IntArray, half: int) -> bool:
-    """Whether a pixel in one of the windows is not finite, though most of that window is."""
+    """Whether one of the windows has pixels that are not finite, but fewer than half of them."""
     for x, y in zip(xs, ys, strict=True):
         gaps = ~np.isfinite(image[max(y - half, 0) : y + half + 1, max(x - half, 0) : x + half + 1])
         if 0 < 2 * np.count_nonzero(gaps) < gaps.size:

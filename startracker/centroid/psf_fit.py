@@ -1,4 +1,4 @@
-"""Centroiders that fit or weigh with the image of a star: weighted moment, least squares, maximum likelihood."""
+"""Centroiders that use the image of a star: weighted moment, least squares, maximum likelihood."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.centroid.asymmetry import (
     EXAMINED_ASYMMETRIC,
     LEAST_ASYMMETRIC,
@@ -27,25 +28,25 @@ from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.settings import CentroidSettings
 
 _LARGEST_HALF_PX = 8
 _WIDTHS = 2.5
-"""Half width of the window in σ of the star image."""
+"""Half width of the window in units of σ of the star image."""
 _CEILING_SHARE = 0.9
-"""Of a saturated star's highest signal: pixels above it may be saturated, each having its own full well."""
+"""Share of a saturated star's highest signal above which pixels may be saturated, because full wells differ."""
 SYSTEMATIC_PX = 0.001
-"""Floor of a position's standard deviation, twice the error of the table's interpolation; less than a moment's, as a
-star image that is not the assumed one shows in the residuals of the fit, and counts there."""
+"""Floor of a position's standard deviation, px: twice the interpolation error of the table. It is smaller than for
+moments, because a deviation from the assumed star image shows in the residuals of the fit and enlarges the
+covariance."""
 MISFIT_SIGMA = 4.0
-"""Excess of a fit's χ² over its mean, in standard deviations, from which the covariance is as many times as large."""
+"""Excess of a fit's χ² over its mean, in standard deviations, above which the covariance is multiplied by χ²/ν."""
 _SURELY_HOT = 10.0
-"""Times as likely as a star that a hot pixel must be."""
+"""Likelihood ratio of a hot pixel to a star above which a detection is rejected."""
 _ASTRAY_PX = 1.5
 _UNDERSAMPLED_PX2 = 0.35
-"""Variance along the narrower axis of an image beyond which an error of its width moves no star: exp(−2 π² 0.35) is
-0.001."""
+"""Variance along the narrower axis, px², above which an error of the image's width does not move a star: exp(−2 π²
+0.35) is 0.001."""
 
 
 def weighted_moment(
@@ -55,14 +56,14 @@ def weighted_moment(
     settings: CentroidSettings | None = None,
     gain_e_per_dn: float | None = None,
 ) -> Centroids:
-    """Centroids by the first moment under a Gaussian weight that follows the star (Bertin & Arnouts' XWIN).
+    """Centroids by the first moment under a Gaussian weight that follows the star (XWIN of Bertin & Arnouts).
 
-    The weight has the widths and the orientation of the star image, so that for faint stars nothing is lost against
-    a fit, and the far pixels of the window bring no noise. The moment that the star image itself shows at the position
-    found is subtracted (``bias_correction``), bad pixels and borders included.
+    The weight has the widths and the orientation of the star image, so that for faint stars the result is as accurate
+    as a fit, and distant pixels of the window contribute no noise. The moment that the star image itself has at the
+    position found is subtracted (``bias_correction``), including the effects of bad pixels and borders.
 
     Parameters, errors raised and result are those of `startracker.centroid.first_moment`; pixels that are not finite
-    are left out of the sums. A star for which the iteration fails, or whose image is saturated, gets its
+    are excluded from the sums. A star for which the iteration fails, or whose image is saturated, gets its
     `first_moment`.
     """
     frame = prepare(image, background, settings, gain_e_per_dn)
@@ -76,7 +77,7 @@ def weighted_moment(
 def weighted_table(
     frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]
 ) -> tuple[FloatArray, PsfModel]:
-    """Measurements (N, 6) by weighted moments, or the `moments` given where these fail, and the star image."""
+    """Measurements (N, 6) by weighted moments, with `moments` (N, 6) where these fail, and the star image."""
     psf, starts = _start(frame, spots, moments, sigmas)
     samples = psf.samples._replace(table=psf.table)
     table = np.asarray(weighted_moments(frame.pixels, samples, starts, psf.shape, frame.settings.bias_correction))
@@ -92,10 +93,10 @@ def least_squares(
     settings: CentroidSettings | None = None,
     gain_e_per_dn: float | None = None,
 ) -> Centroids:
-    """Centroids by a weighted least-squares fit of the star image, Gauss-Newton in x, y and flux.
+    """Centroids by a weighted least-squares fit of the star image, Gauss–Newton in x, y and flux.
 
-    Minimises Σ (d − F p)² / v; v = noise² + F₀ p₀ / gain stays that of the third step, so that no pixel's noise
-    draws weight to itself. Everything else is as `maximum_likelihood` has it.
+    Minimises Σ (d − F p)² / v. The variance v = noise² + F₀ p₀ / gain is fixed after the third step, because weights
+    that follow the data favour pixels whose noise is negative. Everything else is as in `maximum_likelihood`.
     """
     return _fit(image, background, spots, settings, gain_e_per_dn, reweigh=False)
 
@@ -107,23 +108,23 @@ def maximum_likelihood(
     settings: CentroidSettings | None = None,
     gain_e_per_dn: float | None = None,
 ) -> Centroids:
-    """Centroids of greatest likelihood under Poisson and Gaussian noise, by Fisher scoring in x, y and flux.
+    """Centroids of maximum likelihood under Poisson and Gaussian noise, by Fisher scoring in x, y and flux.
 
-    A pixel's electrons plus its background variance are taken for Poisson-distributed (Snyder, Hammoud & White 1993):
+    A pixel's electrons plus its background variance are treated as Poisson distributed (Snyder, Hammoud & White 1993):
     the score is Σ ∂μ (d − μ) / v(μ) and the Fisher matrix Σ ∂μ ∂μᵀ / v(μ), with μ = F p and v = noise² + μ / gain +
-    (flat-field error × μ)². Its inverse, flux and neighbours marginalised, is the covariance, which thereby is the
-    Cramér–Rao bound (Winick 1986) of the image assumed.
+    (flat-field error × μ)². Its inverse, with flux and neighbours marginalised, is the covariance, which is therefore
+    the Cramér–Rao bound (Winick 1986) for the assumed image.
 
-    The star image is the setting ``psf``, or is measured from the frame (`startracker.centroid.psf_shape`). Stars whose
-    windows overlap are fitted together, up to eight. Pixels that are not finite are left out, and so are those of a
-    saturated star within a tenth of its highest. Windows reach 2½ σ, at least ``window_px``.
+    The star image is the setting ``psf``, or is measured in the frame (`startracker.centroid.psf_shape`). Stars whose
+    windows overlap are fitted together, up to eight. Pixels that are not finite are excluded, and for a saturated star
+    also those within a tenth of its highest signal. Windows extend to 2½ σ, and are at least ``window_px`` wide.
 
-    The covariance further has a floor of 0.001 px, and is χ² per degree of freedom times as large where that is more
-    than four standard deviations above one, unless the brightest stars all misfit (`Centroids.misfit`): then the
-    assumed image is wrong, which need not move the stars, and their residuals show how large the errors are. A star
-    that cannot be fitted gets its `first_moment`. Unless the assumed image is wrong, detections are left out that are
-    ten times likelier a hot pixel than a star (by the likelihoods of both, and the numbers of hot pixels and stars
-    found), or whose position is known no better than the width of a star image.
+    The covariance has a floor of 0.001 px. It is multiplied by χ² per degree of freedom if that exceeds one by more
+    than four standard deviations, unless the brightest stars all misfit (`Centroids.misfit`): then the assumed image is
+    wrong, which need not move the stars, and their residuals show how large the errors are. A star that cannot be
+    fitted gets its `first_moment`. Unless the assumed image is wrong, a detection is dropped if it is ten times
+    likelier to be a hot pixel than a star (from both likelihoods, and the numbers of hot pixels and stars found), or if
+    its position is less certain than the width of a star image.
 
     Parameters
     ----------
@@ -180,8 +181,11 @@ def _fit(
 
 
 def _add_width_error(frame: Prepared, psf: PsfModel, starts: Starts, fits: _Fits, reweigh: bool) -> None:
-    """Add to the covariances how far stars move if the image is wider by its standard error. Only undersampled images
-    have such an error: it depends on the position in the pixel, and on average over them it is zero."""
+    """Add to the covariances, in place, the shift of the stars if the image is wider by its standard error.
+
+    Only undersampled images have this error: it depends on the position within the pixel, and its mean over these is
+    zero.
+    """
     xx, yy, xy = psf.shape
     if not 0.0 < min(xx, yy) < _UNDERSAMPLED_PX2 or not any(psf.width_error):
         return
@@ -191,7 +195,7 @@ def _add_width_error(frame: Prepared, psf: PsfModel, starts: Starts, fits: _Fits
 
 
 class _Fits(NamedTuple):
-    """Measurements (N, 6) of stars by fits of one star image, the groups (N,) fitted together, and the misfit."""
+    """Measurements (N, 6) from fits of one star image, the group (N,) in which each star was fitted, and the misfit."""
 
     table: FloatArray
     group: IntArray
@@ -201,9 +205,10 @@ class _Fits(NamedTuple):
 def _fit_image(
     frame: Prepared, spots: Spots, moments: FloatArray, psf: PsfModel, starts: Starts, reweigh: bool
 ) -> _Fits:
-    """Fits of one star image to all stars of a frame."""
+    """Fit one star image to all stars of a frame."""
     group = group_stars(starts.x, starts.y, starts.half + math.ceil(_WIDTHS * psf.sigma_px))
     fits = fit_stars(frame.pixels, psf.samples, starts, group, reweigh)
+    # χ² minus its degrees of freedom ν, in units of its standard deviation √(2ν).
     excess = (fits[:, 6] - fits[:, 7]) / np.sqrt(2.0 * fits[:, 7])
     misfit = misfit_of_brightest(fits[:, 2], np.where(spots.saturated | spots.edge, np.nan, excess))
     blends = misfit is None or misfit < MISFIT_SIGMA
@@ -216,13 +221,13 @@ def _fit_image(
 def _accepted(
     fits: FloatArray, moments: FloatArray, group: IntArray, blends: bool, image_px2: float, odds_hot: float
 ) -> FloatArray:
-    """Measurements (N, 6) by fits, with a larger covariance where χ² is too large, as of `blends`; by moments where a
-    fit failed, and such a star counts as apart from its group.
+    """Measurements (N, 6) by fits, with a larger covariance where χ² is too large; by moments where a fit failed.
 
-    If the assumed star image is right (`blends`), NaN where the detection is a hot pixel, twice the logarithm of whose
-    prior odds is `odds_hot`, where no star can be fitted and one pixel explains the window, and where χ² makes the
-    error exceed the width of the star image, whose variances sum to `image_px2`: a pixel's residual then has more light
-    than the star.
+    A star measured by moments leaves its group. `blends` is True if the assumed star image is right, so that a large χ²
+    means a blend. Then three kinds of detections become NaN: hot pixels, where `odds_hot` is twice the logarithm of
+    their prior odds; windows that no star fits but one bright pixel explains; and fits whose χ² makes the error exceed
+    the width of the star image, with variances of sum `image_px2`, because a pixel's residual then has more light than
+    the star.
     """
     out = np.empty((len(fits), MEASURED))
     for n in range(len(fits)):
@@ -244,15 +249,16 @@ def _accepted(
 
 
 def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[float, float]) -> tuple[PsfModel, Starts]:
-    """Star image, and where and how far the fits look."""
-    if not 0.0 <= frame.settings.flat_field_error < 1.0:
+    """Star image, and the approximate positions and windows of the fits."""
+    if frame.settings.flat_field_error >= 1.0:
         raise InputError(
             f"centroid.flat_field_error is {frame.settings.flat_field_error}; it must be from 0 to below 1"
         )
     peaks = Peaks(spots.x_peak, spots.y_peak, spots.pixels, spots.saturated)
     starts = _start_values(frame.pixels, peaks, moments)
     if frame.settings.psf is None:
-        # as wide as the windows will be; an image longer than the moments took it for is cut off, not wrong
+        # The image must cover the windows. One that is longer than the moments indicate is truncated, which does no
+        # harm.
         wide = max(frame.half, math.ceil(_WIDTHS * max(sigmas))) + int(starts.half.max()) + 3.0
         psf = frame_psf(frame, spots, starts, sigmas, min(wide, _LARGEST_HALF_PX + 2.0))
     else:
@@ -261,17 +267,19 @@ def _start(frame: Prepared, spots: Spots, moments: FloatArray, sigmas: tuple[flo
 
 
 def _reach_of(psf: PsfModel) -> int:
-    """Largest half width of a window: the pixel at its corner must lie in the table if the star moves by one pixel."""
+    """Largest half width of a window: the pixel in its corner must lie in the table even if the star moves by one
+    pixel."""
     return min(_LARGEST_HALF_PX, math.floor(psf.radius_px - 1.0))
 
 
 def _half_of(frame: Prepared, psf: PsfModel) -> int:
-    """Half width of the windows of stars that are not saturated."""
+    """Half width, px, of the windows of stars that are not saturated."""
     return min(max(frame.half, math.ceil(_WIDTHS * psf.sigma_px)), _reach_of(psf))
 
 
 def _start_values(pixels: Pixels, peaks: Peaks, moments: FloatArray) -> Starts:
-    """Approximate positions; half widths that are the radii of flat tops in whole pixels alone."""
+    """Approximate positions; the half widths are the radii of the flat tops only, px, 0 for stars that are not
+    saturated."""
     x, y = moments[:, :2].T.copy()
     starts = Starts(x, y, np.zeros(len(x), np.int64), np.full(len(x), np.inf))
     _fill_starts(pixels, peaks, starts)
@@ -280,11 +288,11 @@ def _start_values(pixels: Pixels, peaks: Peaks, moments: FloatArray) -> Starts:
 
 @kernel
 def _fill_starts(pixels: Pixels, peaks: Peaks, starts: Starts) -> None:
-    """Replaces unusable moments by the brightest pixels; radii and ceilings of flat tops."""
+    """Replace unusable moments by the brightest pixels, and fill in radii and ceilings of flat tops."""
     for n in range(len(starts.x)):
         x, y = peaks.x[n], peaks.y[n]
         off = max(abs(starts.x[n] - x), abs(starts.y[n] - y))
-        # a moment that neighbours have drawn off is not a start
+        # A moment that is displaced by neighbours is not a valid starting value.
         if not math.isfinite(starts.x[n]) or (off > _ASTRAY_PX and not peaks.saturated[n]):
             starts.x[n], starts.y[n] = x, y
         if peaks.saturated[n]:

@@ -1,4 +1,4 @@
-"""Kernels of the centroiders that know the star image: the joint fit of neighbours, weighted moments."""
+"""Kernels of the centroiders that use the star image: joint fits of neighbours, and weighted moments."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.centroid.psf_model import Samples
 from startracker.centroid.psf_sums import fill_window, interpolate, interpolated, normal_equations, weigh_pixels
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 
 Box: TypeAlias = tuple[int, int, int, int]
 Two: TypeAlias = tuple[float, float]
@@ -20,23 +20,24 @@ Three: TypeAlias = tuple[float, float, float]
 Four: TypeAlias = tuple[float, float, float, float]
 
 FITTED = 9
-"""Columns of a fit: x, y, flux, var x, var y, cov xy, χ², degrees of freedom, and χ² of a single bright pixel instead
-of the star (NaN for stars fitted together)."""
+"""Number of columns of a fit: x, y, flux, var x, var y, cov xy, χ², degrees of freedom, and χ² of a single bright pixel
+in place of the star (NaN for stars fitted together)."""
 MOST_TOGETHER = 8
-"""Stars fitted jointly at most."""
+"""Largest number of stars that are fitted jointly."""
 _ITERATIONS = 25
 _LONGEST_STEP_PX = 0.5
 _CONVERGED_PX = 2e-4
-"""Of the last step; the steps shrink tenfold and more, so that the next would be below 2e-5."""
+"""Largest last step, px; each step is a tenth of the one before or less, so that the next would be below 2e-5."""
 _CONVERGED_SIGMA = 0.02
-"""Of the last step, in standard errors, where it is accepted: the next would be below 0.002 of them and 1e-4 px."""
+"""Largest last step in standard errors if it is also below `_ACCEPTED_PX`; the next would be below 0.002 standard
+errors and 1e-4 px."""
 _ACCEPTED_PX = 1e-3
 _WEIGHINGS = 3
 _LARGEST_GROWTH = 2.0
 
 
 class Starts(NamedTuple):
-    """Where the stars of a fit are looked for.
+    """Approximate positions and windows of the stars of a fit.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class Starts(NamedTuple):
     half : int (N,)
         Half width of each window.
     ceiling : (N,)
-        DN; pixels of that or more are left out.
+        DN; pixels at or above it are excluded.
     """
 
     x: FloatArray
@@ -55,9 +56,9 @@ class Starts(NamedTuple):
 
 
 def group_stars(x: FloatArray, y: FloatArray, reach: IntArray) -> IntArray:
-    """Number of the group of each star: chains of stars nearer than `reach` of either, on both axes.
+    """Group number (N,) of each star: chains of stars that are nearer than the `reach` of either on both axes.
 
-    A chain of more than `MOST_TOGETHER` is cut.
+    A chain of more than `MOST_TOGETHER` stars is cut.
     """
     group = np.arange(len(x))
     _join(x, y, reach, group, np.ones(len(x), np.int64))
@@ -66,7 +67,7 @@ def group_stars(x: FloatArray, y: FloatArray, reach: IntArray) -> IntArray:
 
 @kernel
 def _join(x: FloatArray, y: FloatArray, reach: IntArray, group: IntArray, members: IntArray) -> None:
-    """Joins the groups of `group_stars`, at first of one star each."""
+    """Merge the groups of `group_stars`, each of which initially has one star."""
     for i in range(len(x)):
         for j in range(i):
             near = max(reach[i], reach[j])
@@ -80,15 +81,16 @@ def _join(x: FloatArray, y: FloatArray, reach: IntArray, group: IntArray, member
 
 
 def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, reweigh: bool) -> FloatArray:
-    """Fits (N, 9), see `FITTED`, of stars whose approximate positions are given; NaN where a fit fails,
-    but for the last two columns of a star that is fitted alone.
+    """Fits (N, 9), see `FITTED`, of stars whose approximate positions are given.
+
+    All columns are NaN if a fit fails, except the last two for a star that is fitted alone.
 
     Parameters
     ----------
     group : int array, shape (N,)
-        Stars of equal number, that of one of them, are fitted together over the union of their windows.
+        Stars with the same number, which is the index of one of them, are fitted together over all their windows.
     reweigh : bool
-        True: variances follow the model (Fisher scoring); False: they stay those of the model in the third step.
+        True: variances follow the model (Fisher scoring); False: they stay as computed in the third step.
     """
     out = np.full((len(group), FITTED), np.nan)
     _fit_groups(pixels, psf, starts, group, np.argsort(group, kind="stable"), reweigh, _NO_SPACE, out)
@@ -96,7 +98,7 @@ def fit_stars(pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, rew
 
 
 class _Space(NamedTuple):
-    """Working space of a fit of M stars in N pixels: (11 + 3 M, N), (3 M, 3 M), (2, 3 M) and (3, M)."""
+    """Working space for a fit of M stars in N pixels: (11 + 3 M, N), (3 M, 3 M), (2, 3 M) and (3, M)."""
 
     pixels: FloatArray
     normal: FloatArray
@@ -112,7 +114,7 @@ def _fit_groups(
     pixels: Pixels, psf: Samples, starts: Starts, group: IntArray, order: IntArray, reweigh: bool, space: _Space,
     out: FloatArray,
 ) -> None:  # fmt: skip
-    """Fills the rows of `fit_stars`; `order` takes the stars group by group. The working space grows as needed."""
+    """Fill the rows of `fit_stars`; `order` lists the stars group by group. The working space grows as needed."""
     first = 0
     while first < len(order):
         last = first + 1
@@ -130,7 +132,7 @@ def _fit_groups(
 
 @kernel_part
 def _bounds(starts: Starts, members: IntArray, shape: tuple[int, int]) -> Box:
-    """First column and row, and numbers of columns and rows, of a rectangle that holds all windows."""
+    """First column and row, and numbers of columns and rows, of the rectangle that encloses all windows of a group."""
     height, width = shape
     left, top, right, bottom = width, height, 0, 0
     for k in members:
@@ -144,7 +146,7 @@ def _bounds(starts: Starts, members: IntArray, shape: tuple[int, int]) -> Box:
 def _leave_out(
     starts: Starts, members: IntArray, left: int, top: int, wide: int, signal: FloatArray, dark: FloatArray
 ) -> int:
-    """Pixels of the rectangle that lie in no window count no more; how many are left."""
+    """Exclude the pixels of the rectangle that lie in no window; returns the number of pixels left."""
     count = 0
     for n in range(len(signal)):
         inside = False
@@ -159,7 +161,7 @@ def _leave_out(
 
 @kernel_part
 def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float:
-    """Flux by unweighted least squares, Σ p d / Σ p², over the pixels of finite variance."""
+    """Flux by unweighted least squares, Σ p d / Σ p², over the pixels with a finite variance."""
     above, below = 0.0, 0.0
     for n in range(len(signal)):
         p = share[n] if dark[n] < np.inf else 0.0
@@ -168,7 +170,7 @@ def _amplitude(share: FloatArray, signal: FloatArray, dark: FloatArray) -> float
     return above / below if below > 0.0 else np.nan
 
 
-@kernel_part
+@kernel
 def _fit_group(
     pixels: Pixels,
     psf: Samples,
@@ -179,9 +181,9 @@ def _fit_group(
     space: _Space,
     out: FloatArray,
 ) -> None:
-    """Fit of stars together, written to their rows of `out`; these stay NaN where it fails.
+    """Fit the stars of a group together and write their rows of `out`, which stay NaN if the fit fails.
 
-    Parameters of a star: ln(flux), x and y, so that the normal matrix is well scaled.
+    The parameters of each star are ln(flux), x and y, which makes the normal matrix well scaled.
     """
     m, size, ceiling = len(members), 3 * len(members), np.inf
     for k in members:
@@ -219,13 +221,14 @@ def _fit_group(
         gain = 0.0
         for a in range(size):
             gain += score[a] * right[a]
+        # A star that leaves its own window has been attracted by something else.
         for k in range(m):
             half = starts.half[members[k]]
             if abs(x[k] - round(starts.x[members[k]])) > half or abs(y[k] - round(starts.y[members[k]])) > half:
                 return
         enough = (reweigh or iteration > _WEIGHINGS) and step < _ACCEPTED_PX and gain < _CONVERGED_SIGMA**2
         if step < _CONVERGED_PX or enough:
-            # what the last step gains is known; matrix and χ² are those of its start but for that
+            # The gain of the last step is known in advance, so its result need not be evaluated again.
             chi2, step = chi2 - gain, 0.0
             break
     if step <= _ACCEPTED_PX:
@@ -234,7 +237,7 @@ def _fit_group(
 
 @kernel_part
 def _pixel_chi2(signal: FloatArray, dark: FloatArray) -> float:
-    """χ² of a window in which nothing but one pixel is bright."""
+    """χ² of a window under the hypothesis that only one pixel is bright."""
     total, brightest = 0.0, 0.0
     for n in range(len(signal)):
         square = signal[n] * signal[n] / dark[n]  # 0 for a pixel left out
@@ -246,11 +249,12 @@ def _pixel_chi2(signal: FloatArray, dark: FloatArray) -> float:
 
 @kernel_part
 def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: FloatArray) -> None:
-    """Rows of a fit, see `FITTED`, from a normal matrix that is factorised."""
+    """Write the rows of a fit, see `FITTED`, from its factorised normal matrix."""
     size, column = 3 * len(members), space.sides[0]
     for k in range(len(members)):
         row = out[members[k]]
         row[0], row[1], row[2], row[6], row[7] = space.at[0, k], space.at[1, k], space.at[2, k], chi2, freedom
+        # The columns of the inverse for x and y are the marginal covariances, with flux and neighbours eliminated.
         for axis in range(2):
             for a in range(size):
                 column[a] = 1.0 if a == 3 * k + 1 + axis else 0.0
@@ -258,9 +262,9 @@ def _note(members: IntArray, space: _Space, chi2: float, freedom: int, out: Floa
             row[3 + axis], row[5] = column[3 * k + 1 + axis], column[3 * k + 1]
 
 
-@kernel_part
+@kernel
 def _move(change: FloatArray, x: FloatArray, y: FloatArray, flux: FloatArray) -> float:
-    """Take a step, shortened where it is long; its length, px, inf where it is none."""
+    """Apply a step, shortened if it is too long; returns its full length, px, or infinity if it is not finite."""
     longest = 0.0
     for k in range(len(x)):
         for move in (change[3 * k + 1], change[3 * k + 2]):
@@ -280,21 +284,22 @@ def _move(change: FloatArray, x: FloatArray, y: FloatArray, flux: FloatArray) ->
 def weighted_moments(
     pixels: Pixels, psf: Samples, starts: Starts, shape: tuple[float, float, float], correct: bool
 ) -> FloatArray:
-    """Gaussian-weighted moments (N, 6): x, y, flux, var x, var y, cov xy; NaN where the iteration fails.
+    """Gaussian-weighted moments (N, 6): x, y, flux, var x, var y, cov xy; NaN if the iteration fails.
 
     Parameters
     ----------
     psf : Samples
-        Its table is read.
+        Only its table is used.
     shape : (float, float, float)
         Variances along x and y and covariance of the weight, px².
     correct : bool
-        Take off the moment that the star image itself has at the position.
+        Whether to subtract the moment that the star image itself has at the position.
 
     Notes
     -----
-    Solves Σ w (k − c)(d − F p) = 0 by Newton's method, w centred on c. The noise of the solution is that of the sum,
-    through the inverse of the sum's derivative by the star's position: exact for fixed w.
+    Solves Σ w (k − c)(d − F p) = 0 by Newton's method, with w centred on c. The noise of the solution is the noise of
+    the sum, propagated through the inverse of the sum's derivative with respect to the star's position: exact for fixed
+    w.
     """
     out = np.full((len(starts.x), 6), np.nan)
     for index in range(len(out)):
@@ -328,12 +333,15 @@ def weighted_moments(
     return out
 
 
-@kernel_part
+@kernel
 def _weighted_sums(
     pixels: Pixels, psf: Samples, starts: Starts, index: int, at: tuple[float, float], shape: tuple[float, float, float]
 ) -> tuple[Two, Four, Four, Three]:
-    """Sums over a window under the weight about a position: of the light d and the star image p; of their moments; of
-    the derivatives of p's moments by the position; of the moments' noise."""
+    """Sums over a window under the weight centred on a position.
+
+    Four tuples: of the light d and the star image p; of their moments; of the derivatives of p's moments with respect
+    to the position; of the noise of the moments.
+    """
     determinant = shape[0] * shape[1] - shape[2] ** 2
     ixx, iyy, ixy = shape[1] / determinant, shape[0] / determinant, -shape[2] / determinant
     cx, cy, half = round(starts.x[index]), round(starts.y[index]), starts.half[index]
@@ -349,6 +357,7 @@ def _weighted_sums(
             if not (math.isfinite(value) and value < starts.ceiling[index]):
                 continue
             kx, ky = i - at[0], j - at[1]
+            # The exponent is the inverse of the covariance matrix of the weight.
             w = math.exp(-0.5 * (ixx * kx * kx + iyy * ky * ky + 2.0 * ixy * kx * ky))
             point_x, point_y = first_x + i * psf.oversampling, first_y + j * psf.oversampling
             p, by_x, by_y = interpolated(psf.table, psf.oversampling, point_x, point_y, weights, 0)

@@ -1,33 +1,34 @@
-"""Star images as tables of the light that a pixel gets, by its distance from the star."""
+"""Star images as tables of the share of the light in a pixel, by its offset from the star."""
 
 from __future__ import annotations
 
 import math
 import zipfile
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from startracker._compiled import kernel
 from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.errors import InputError
 from startracker.files import CURVE_BYTES, check_file
-from startracker.kernels import kernel
 
 _LEAST_OVERSAMPLING = 8
 _MOST_OVERSAMPLING = 48
 _SAMPLES_A_SIGMA = 7.0
 """Keys' interpolation is then good to 1e-4 of the peak."""
 _UNROTATED = 0.02
-"""Correlation below which an ellipse counts as upright: frames do not determine it, positions do not depend on it."""
+"""Correlation below which an ellipse counts as aligned with the axes: a frame does not determine a smaller one, and
+positions do not depend on it."""
 _NEGLIGIBLE = 1e-5
-"""Share of the peak that the terms left out of a sum of products have at most."""
+"""Largest share of the peak in the omitted terms of a sum of products."""
 _MOST_TERMS = 5
-"""With more the table is interpolated as fast."""
+"""Number of terms above which interpolation in the table is as fast."""
 _FORMAT = 1
 _SQRT_HALF = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
@@ -35,7 +36,7 @@ _NO_AXES = np.empty((0, 0))
 
 
 class Samples(NamedTuple):
-    """A `PsfModel` for kernels, which read the table only where there are no axes."""
+    """A `PsfModel` in the form that kernels read; the table is used only if there are no axes."""
 
     table: FloatArray
     axes: FloatArray
@@ -44,23 +45,23 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PsfModel:
-    """Effective point-spread function: share p(dx, dy) of a star's light in the pixel (dx, dy) away from it.
+    """Effective point-spread function: share p(dx, dy) of a star's light in the pixel at (dx, dy) from it.
 
-    It holds the integration over the pixel (Anderson & King 2000), so that a star at (x, y) of flux F puts
-    F p(i − x, j − y) into pixel (i, j).
+    It includes the integration over the pixel (Anderson & King 2000), so that a star at (x, y) of flux F contributes F
+    p(i − x, j − y) to pixel (i, j).
 
     Parameters
     ----------
     table : array, shape (n, n), n odd
         table[r, c] = p((c − m) / oversampling, (r − m) / oversampling), m = (n − 1) / 2.
     oversampling : int
-        Points a pixel.
+        Number of points of the table per pixel.
     shape : (float, float, float)
-        Variances along x and y and covariance of the Gaussian nearest the core, px².
+        Variances along x and y and covariance of the Gaussian that fits the core best, px².
     axes : array, shape (2 K, n)
-        Where the table is a sum of products axes[2 k + 1, r] axes[2 k, c], these; else of the shape (0, 0).
+        Factors if the table is a sum of products, axes[2 k + 1, r] axes[2 k, c]; otherwise of shape (0, 0).
     width_error : (float, float)
-        Standard errors of the variances along x and y, px², of an image measured from a frame.
+        Standard errors of the variances along x and y, px², if the image was measured in a frame.
     """
 
     table: FloatArray
@@ -73,24 +74,24 @@ class PsfModel:
 
     @property
     def radius_px(self) -> float:
-        """Half width of the table; p counts as zero beyond it."""
+        """Half width of the table, px; p is zero beyond it."""
         points = self.axes.shape[1] or self.table.shape[0]
         return float((points - 1) / 2 / self.oversampling)
 
     @property
     def samples(self) -> Samples:
-        """What kernels interpolate."""
+        """The image in the form that kernels interpolate."""
         return Samples(_NO_AXES if len(self.axes) else self.table, self.axes, self.oversampling)
 
     @property
     def sigma_px(self) -> float:
-        """Width of the image along its longer axis."""
+        """Standard deviation of the image along its longer axis, px."""
         xx, yy, xy = self.shape
         major: float = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
         return math.sqrt(major)
 
     def shares(self, dx: ArrayLike, dy: ArrayLike) -> FloatArray:
-        """p at distances (dx, dy) in pixels, by cubic splines; zero beyond the table."""
+        """p at offsets (dx, dy), px, by cubic splines; zero outside the table."""
         from scipy.ndimage import map_coordinates
 
         x, y = np.broadcast_arrays(np.asarray(dx, dtype=float), np.asarray(dy, dtype=float))
@@ -100,15 +101,15 @@ class PsfModel:
         return np.asarray(map_coordinates(self.table, flat, order=3, mode="constant")).reshape(x.shape)
 
     def smeared(self, along_x_px: float, along_y_px: float) -> PsfModel:
-        """The image of a star that moves steadily by this much during the exposure; p refers to its middle.
+        """Image of a star that moves uniformly by this path during the exposure; p refers to the middle of the path.
 
-        The mean along a line is a product with sin(πu)/πu, u = frequency · path, in the Fourier plane.
+        The mean along a line is a product with sin(πu)/(πu) in the Fourier plane, where u is frequency · path.
         """
         from scipy import fft
 
         grow = math.ceil(0.5 * max(abs(along_x_px), abs(along_y_px))) * self.oversampling
         side = self.table.shape[0] + 2 * grow
-        # room for the image to be cut off by, and not to come in again on the other side
+        # Zeros around the image keep the periodic transform from wrapping it around.
         padded = fft.next_fast_len(side + 2 * grow, real=True)
         spectrum = fft.rfft2(self.table, (padded, padded))
         down, across = np.fft.fftfreq(padded)[:, None], np.fft.rfftfreq(padded)
@@ -116,6 +117,7 @@ class PsfModel:
         drawn_out = fft.irfft2(spectrum * np.sinc(path), (padded, padded))
         rows = np.arange(-grow, side - grow) % padded
         table = drawn_out[np.ix_(rows, rows)]
+        # A uniform line of length L has a variance of L²/12.
         xx, yy, xy = self.shape
         return PsfModel(
             table,
@@ -131,31 +133,13 @@ class PsfModel:
             )
 
 
-class _ProductPsf(PsfModel):
-    """A sum of products; most fits need no more, so that the table is drawn when it is first asked for."""
-
-    def __init__(
-        self,
-        axes: FloatArray,
-        oversampling: int,
-        shape: tuple[float, float, float],
-        width_error: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
-        self.__dict__.update(axes=axes, oversampling=oversampling, shape=shape, width_error=width_error)
-
-    @cached_property
-    def table(self) -> FloatArray:
-        """See `PsfModel`."""
-        return np.asarray(self.axes[1::2].T @ self.axes[::2])
-
-
 def load_psf(path: str | Path) -> PsfModel:
-    """A star image saved by `PsfModel.save`; kept in memory until the file changes.
+    """Read a star image saved by `PsfModel.save`; it is cached until the file changes.
 
     Raises
     ------
     InputError
-        Not such a file.
+        If the file is not such an archive.
     """
     changed = check_file(path, CURVE_BYTES, "centroid.psf is a star image made by PsfModel.save").st_mtime_ns
     return _read_psf(str(path), changed)
@@ -189,9 +173,9 @@ def gaussian_psf(
 ) -> PsfModel:
     """An elliptical Gaussian integrated over pixels.
 
-    A product of differences of Φ where the axes are the image's, or a sum of such products where they nearly are
-    (`gaussian_axes`); otherwise the trapezoidal rule over the points of the table, with Euler and Maclaurin's first
-    correction, along one axis and then the other.
+    If its axes are those of the image it is a product of differences of Φ, and if they nearly are, a sum of such
+    products (`gaussian_axes`). Otherwise it is integrated along one axis and then the other by the trapezoidal rule
+    over the points of the table, with the first correction of Euler and Maclaurin.
 
     Parameters
     ----------
@@ -206,7 +190,7 @@ def gaussian_psf(
     if not (xx > 0 and yy > 0 and determinant > 0):
         raise InputError(f"no Gaussian has the variances {xx}, {yy} and the covariance {xy} px²")
     narrow = math.sqrt(determinant / max(xx, yy))
-    # even, so that a pixel's borders are points of the table
+    # Even, so that the borders of a pixel are points of the table.
     wanted = 2 * math.ceil(0.5 * _SAMPLES_A_SIGMA / narrow)
     oversampling = min(max(wanted, _LEAST_OVERSAMPLING), _MOST_OVERSAMPLING)
     middle = math.ceil(radius_px * oversampling) + 2
@@ -214,8 +198,8 @@ def gaussian_psf(
     terms = 1 if correlation < _UNROTATED else math.ceil(math.log(_NEGLIGIBLE) / math.log(correlation))
     if terms <= _MOST_TERMS:
         axes = gaussian_axes(xx, yy, xy, oversampling, middle, terms)
-        return _ProductPsf(axes, oversampling, (xx, yy, xy), width_error)
-    # the point values on the grid, and a quadrature over the pixel whose nodes are grid points
+        return PsfModel(axes[1::2].T @ axes[::2], oversampling, (xx, yy, xy), axes, width_error)
+    # Values of the density on a grid, integrated over pixels by a quadrature whose nodes are the points of the grid.
     fine = np.arange(-middle - oversampling, middle + oversampling + 1) / oversampling
     down = fine[:, None]
     points = np.exp((xy * fine * down - 0.5 * (yy * fine**2 + xx * down**2)) / determinant)
@@ -228,10 +212,10 @@ def gaussian_psf(
 
 @kernel
 def gaussian_axes(xx: float, yy: float, xy: float, oversampling: int, middle: int, terms: int) -> FloatArray:
-    """Axes (2 K, n) of which a pixel-integrated Gaussian of small correlation ρ is the sum of products.
+    """Factors (2 K, n) of a pixel-integrated Gaussian of small correlation ρ, as a sum of products.
 
-    Mehler's series: the density is φ(u) φ(v) Σ ρᵏ/k! Heₖ(u) Heₖ(v), Heₖ being Hermite's polynomials, and
-    ∫ Heₖ φ = −Heₖ₋₁ φ. The first K terms leave out less than ρᴷ of the peak.
+    Mehler's series: the density is φ(u) φ(v) Σ ρᵏ/k! Heₖ(u) Heₖ(v), with Hermite's polynomials Heₖ, and ∫ Heₖ φ =
+    −Heₖ₋₁ φ. The first K terms omit less than ρᴷ of the peak.
     """
     out, half = np.empty((2 * terms, 2 * middle + 1)), oversampling // 2
     rho = xy / math.sqrt(xx * yy)
@@ -263,7 +247,7 @@ def _over_pixel(values: FloatArray, oversampling: int) -> FloatArray:
     first, last = slice(1, n - 2 * half - 1), slice(2 * half + 1, n - 1)
     inner = total[..., last] - total[..., first]  # points first+1 … last
     inner = inner + 0.5 * (values[..., first] - values[..., last])
-    # Euler-Maclaurin: −h/12 (f'(b) − f'(a)), by central differences
+    # Euler–Maclaurin: −h/12 (f'(b) − f'(a)), with central differences.
     slope_b = 0.5 * (values[..., 2 * half + 2 :] - values[..., 2 * half : -2])
     slope_a = 0.5 * (values[..., 2 : n - 2 * half] - values[..., : n - 2 * half - 2])
     return np.asarray((inner - (slope_b - slope_a) / 12.0) / oversampling)

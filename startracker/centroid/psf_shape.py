@@ -1,4 +1,4 @@
-"""The star image of a frame, measured from its brightest stars: an elliptical Gaussian, or a smeared one."""
+"""Star image of a frame, measured from its brightest stars: an elliptical or a smeared Gaussian."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.centroid.bias import SMALLEST_SIGMA_PX
 from startracker.centroid.frame import MODEL_STARS, Prepared, brightest_alone
 from startracker.centroid.psf_kernel import Starts, fit_stars
@@ -16,7 +17,6 @@ from startracker.centroid.window import Pixels, read_pixels
 from startracker.core import FloatArray, IntArray
 from startracker.detection.spots import Spots
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 
 Shape: TypeAlias = tuple[float, float, float]
 
@@ -27,19 +27,19 @@ _WEIGHTS = np.polynomial.legendre.leggauss(3)[1] / 2.0
 _STEPS = 40
 _CONVERGED = 1e-3
 _LEAST_SNR = 12.0
-"""Signal-to-noise ratio of a star, unless it is one of the three brightest: of fainter objects noise selects those that
-are narrow, and noise alone is among them."""
+"""Least signal-to-noise ratio of a star, unless it is one of the three brightest: among fainter objects the selection
+by noise favours narrow ones, some of which are noise alone."""
 _NARROW = 0.11
-"""Variance along the narrower axis, px², up to which pixels do not resolve the orientation."""
+"""Variance along the narrower axis, px², below which pixels do not resolve the orientation."""
 _DAMPED = 12
-"""Steps after which their lengths are halved."""
+"""Number of steps after which the steps are halved."""
 _LONGEST_STEP, _SHORTEST = 0.4, 1e-3
-"""Longest step, in units of the smaller variance, or of 1 if that is smaller."""
+"""Longest step, in units of the smaller variance or of 1 px², whichever is smaller, and shortest factor of a step."""
 _LENGTHS = (0.9, 1.0, 1.1)
 _LEAST_CHI2 = 9.0
-"""Square of the covariance over its variance, of nine stars, up to which it is zero."""
+"""Square of the covariance over its variance, from nine stars, below which the covariance is set to zero."""
 _STREAK_RATIO = 1.5
-"""Ratio of the axes from which a line is tried instead of an ellipse."""
+"""Ratio of the axes above which a line is tried in place of an ellipse."""
 
 
 class _Space(NamedTuple):
@@ -52,9 +52,9 @@ class _Space(NamedTuple):
     factors: FloatArray
     """(6, 3 W)."""
     at: FloatArray
-    """(N, 5): position and flux of each star, and the pixel in the middle of its window; NaN: left out."""
+    """Position and flux (N, 5) of each star, and the central pixel of its window; NaN if the star is excluded."""
     normal: FloatArray
-    """(N, 6, 6): its normal equations in x, y, ln(flux), xx, yy, xy, factorised."""
+    """Normal equations (N, 6, 6) in x, y, ln(flux), xx, yy, xy, factorised."""
     right: FloatArray
     """(N, 6)."""
 
@@ -62,16 +62,15 @@ class _Space(NamedTuple):
 def fit_gaussian(
     pixels: Pixels, starts: Starts, stars: IntArray, half: int, shape: Shape, contrast: float = 0.0
 ) -> tuple[Shape, tuple[float, float]]:
-    """Variances along x and y and covariance, px², of the pixel-integrated Gaussian that fits all of some stars, and
-    the standard errors of both variances; NaN: none.
+    """Pixel-integrated Gaussian that fits all of some stars.
 
-    Gauss-Newton in x, y and ln(flux) of each star and the common xx, yy, xy, weighted with the noise of the model; a
-    star that it misfits, as stars of another image do, has so much less weight as its χ² is larger. The image of a
-    single undersampled star hardly shows its width if it is in the middle of a pixel, and an orientation that depends
-    on its position in the pixel: medians of such fits are too wide, and turn the ellipse at random. A wrong
-    orientation displaces all stars of an asymmetric image, by half a pixel per px²: the covariance is reduced by
-    1 − (9 s²/xy²)², where s² is its variance by the scatter of the stars (Huber 1967, *Proc. Fifth Berkeley Symposium
-    1*, 221). It is left out where the image is so narrow that two orientations fit, each with a position of its own.
+    Gauss–Newton in x, y and ln(flux) of each star and the common xx, yy, xy, weighted with the noise of the model; a
+    star that does not fit, such as a star of another image, gets a weight reduced in proportion to its χ². A single
+    undersampled star hardly shows its width if it is centred on a pixel, and its orientation then depends on the
+    position within the pixel: medians of fits to single stars are too wide, and have random orientations. A wrong
+    orientation displaces all stars of an asymmetric image, by half a pixel per px². So the covariance is multiplied by
+    1 − (9 s²/xy²)², where s² is its variance from the scatter of the stars (Huber 1967, *Proc. Fifth Berkeley Symposium
+    1*, 221). It is set to zero if the image is so narrow that two orientations fit, each with a different position.
 
     Parameters
     ----------
@@ -80,12 +79,12 @@ def fit_gaussian(
     stars : int (N,)
         Stars to fit.
     half : int
-        Half width of their windows.
+        Half width of their windows, px.
     shape : (float, float, float)
-        Start.
+        Initial variances along x and y and covariance, px².
     contrast : float
-        Photon noise over background noise (variances) in the brightest pixel, for which the stars are weighted; 0: that
-        of each.
+        Ratio of photon to background noise (variances) in the brightest pixel for which the weights are computed; 0:
+        the actual ratio of each star.
     """
     side, found, count = 2 * half + 1, np.full(6, np.nan), len(stars)
     factors = np.empty((3 + len(_NODES), len(_NODES) * side))
@@ -102,7 +101,7 @@ def fit_gaussian(
 
 @kernel
 def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, space: _Space, found: FloatArray) -> None:
-    """Fills the shape of some stars and the variances of its parts, (6,), if they can be fitted."""
+    """Fill the shape of some stars and the variances of its three parts, (6,), if they can be fitted."""
     (a, b, c), at, total, change, own = shape, space.at, np.empty((3, 3)), np.empty(3), np.empty((len(space.at), 3))
     for step in range(_STEPS):
         total[:], change[:], used = 0.0, 0.0, 0
@@ -114,7 +113,8 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
                 at[n, 0] = np.nan
                 continue
             used += 1
-            # the last rows of Cholesky's factor are that of the shape's normal matrix, the star's unknowns eliminated
+            # After Cholesky's factorisation with the star's own unknowns first, the last rows hold the normal matrix of
+            # the shape with these eliminated.
             factor, right = space.normal[n], space.right[n]
             for p in range(3):
                 own[n, p] = 0.0
@@ -123,15 +123,15 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
                     for q in range(m, 3):
                         total[p, q] += weight * factor[3 + p, 3 + m] * factor[3 + q, 3 + m]
                 change[p] += own[n, p]
-        if step == 0:
+        if step == 0:  # the first step only finds the fluxes
             continue
-        if used == 0 or not factorise(total, 3):
+        if used == 0 or not factorise(total, len(total)):
             return
-        substitute(total, 3, change)
+        substitute(total, len(total), change)
         largest = max(abs(change[0]), abs(change[1]), abs(change[2]))
         if not math.isfinite(largest):
             return
-        part = 1.0 if step < _DAMPED else 0.5  # faint stars may go to and fro
+        part = 1.0 if step < _DAMPED else 0.5  # fits of faint stars may oscillate
         short = min(part, _LONGEST_STEP * min(a, b, 1.0) / largest) if largest > 0.0 else 1.0
         while short > _SHORTEST and not _is_ellipse(
             a + short * change[0], b + short * change[1], c + short * change[2]
@@ -146,9 +146,10 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
         if max(largest, farthest) < _CONVERGED or (step > _DAMPED and largest < _CONVERGED):
             found[0], found[1], found[2] = a, b, c
             found[3:] = 0.0
+            # Sandwich estimate (Huber 1967): the scatter of the stars' contributions to the last step.
             for n in range(len(at)):
                 if math.isfinite(at[n, 0]):
-                    substitute(total, 3, own[n])
+                    substitute(total, len(total), own[n])
                     for p in range(3):
                         found[3 + p] += own[n, p] ** 2 * used / max(used - 1.0, 0.5)
             return
@@ -156,18 +157,20 @@ def _fit_gaussian(pixels: Pixels, contrast: float, half: int, shape: Shape, spac
 
 @kernel_part
 def _is_ellipse(xx: float, yy: float, xy: float) -> bool:
+    """Whether the variances and the covariance are those of an ellipse that is not too narrow."""
     return xx > 0.0 and xx * yy - xy * xy > SMALLEST_SIGMA_PX**4
 
 
-@kernel_part
+@kernel
 def _move_stars(space: _Space, change: FloatArray, scale: float, half: int, part: float) -> float:
-    """Moves the stars by the steps that belong to a change (3,) of the shape; the longest of them."""
+    """Move the stars by the steps that correspond to a change (3,) of the shape; returns the longest full step."""
     step, longest = np.empty(3), 0.0
     for n in range(len(space.at)):
         star, factor = space.at[n], space.normal[n]
         if not math.isfinite(star[0] + star[1]):
             continue
         largest = 0.0
+        # Back substitution of the star's three unknowns, with the change of the shape given.
         for p in range(2, -1, -1):
             step[p] = space.right[n, p]
             for q in range(p + 1, 6):
@@ -187,12 +190,15 @@ def _move_stars(space: _Space, change: FloatArray, scale: float, half: int, part
     return longest
 
 
-@kernel_part
+@kernel
 def _equations_of_star(
     pixels: Pixels, contrast: float, half: int, shape: Shape, space: _Space, n: int, is_first: bool
 ) -> float:
-    """The normal equations of star n, factorised to `space.normal` and `space.right`, and their weight: its inverse χ²
-    per degree of freedom, at most 1; 0 if there are none. The first time its flux alone is found."""
+    """Compute and factorise the normal equations of star n, in `space.normal` and `space.right`.
+
+    Returns their weight, the inverse of χ² per degree of freedom, at most 1; 0 if there are none. On the first call
+    only the flux is computed.
+    """
     height, width = pixels.image.shape
     x, y, flux, middle, row = space.at[n]
     left, top = max(int(middle) - half, 0), max(int(row) - half, 0)
@@ -220,16 +226,17 @@ def _equations_of_star(
     if is_first:
         space.at[n, 2] = above / below
         return above if n < _FEWEST_ALONE or above > _LEAST_SNR * math.sqrt(below) else 0.0
-    # a loop: for the error that an array expression may raise, numba compiles its text, which takes seconds
+    # A loop, because for an array expression numba also compiles the text of its error, which takes seconds.
     for m in range(6):
         for k in range(count):
             slopes[m, k] *= flux
     normal_equations(slopes, weights, residuals, normal, right)
+    # A minute ridge, so that an unknown without information does not stop the factorisation.
     for m in range(6):
         normal[m, m] *= 1.0 + 1e-9
         if not normal[m, m] > 0.0:
             normal[m, m] = 1.0
-    if not factorise(normal, 6):
+    if not factorise(normal, len(normal)):
         return 0.0
     for p in range(6):
         for q in range(p):
@@ -238,14 +245,15 @@ def _equations_of_star(
     return 1.0 / max(chi2 / max(used - 6.0, 1.0), 1.0)
 
 
-@kernel_part
+@kernel
 def _gaussian_slopes(
     corner: tuple[float, float], wide: int, high: int, shape: Shape, out: FloatArray, factors: FloatArray
 ) -> None:
-    """Slopes (6, N) by x, y, ln(flux), xx, yy, xy of a unit Gaussian in the pixels of a window, whose first pixel is at
-    `corner` from its centre; pixels are integrated by 3 × 3 Gauss-Legendre nodes.
+    """Derivatives (6, N) of a unit Gaussian with respect to x, y, ln(flux), xx, yy, xy in the pixels of a window.
 
-    The Gaussian is a product of one factor along x, one along y and one of both, which steps from pixel to pixel.
+    The first pixel is at `corner` from the centre of the star; pixels are integrated with 3 × 3 Gauss–Legendre nodes.
+    The Gaussian is a product of a factor of x, a factor of y and a factor of both, which is updated from pixel to pixel
+    by multiplication.
     """
     nodes, (left, top), (a, b, c) = len(_NODES), corner, shape
     along_x, along_y, step_y, both = factors[0], factors[1], factors[2], factors[3:]
@@ -279,6 +287,8 @@ def _gaussian_slopes(
                 g = along_y[j * nodes + t]
                 total, u1, uu = total + g * row, u1 + g * row_u, uu + g * row_uu
                 v1, uv, vv = v1 + g * row * v, uv + g * row_u * v, vv + g * row * v * v
+            # With the inverse covariance matrix (ia, ic; ic, ib), the derivatives are moments of the light in the
+            # pixel.
             out[0, pixel], out[1, pixel], out[2, pixel] = ia * u1 + ic * v1, ic * u1 + ib * v1, total
             out[3, pixel] = 0.5 * (ia * ia * uu + 2.0 * ia * ic * uv + ic * ic * vv - ia * total)
             out[4, pixel] = 0.5 * (ic * ic * uu + 2.0 * ic * ib * uv + ib * ib * vv - ib * total)
@@ -287,18 +297,19 @@ def _gaussian_slopes(
 
 
 def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float, float], reach_px: float) -> PsfModel:
-    """The star image of a frame.
+    """Star image of a frame.
 
-    The ellipse of the brightest clean stars (`fit_gaussian`). Where it is elongated, a round Gaussian moved along a
-    line is taken instead when it leaves the smaller χ² in the same stars: L² = 12 × the difference of the principal
-    variances, then L by the parabola through χ² there and a tenth to either side.
+    It is the ellipse of the brightest clean stars (`fit_gaussian`). If the ellipse is elongated, a round Gaussian moved
+    along a line replaces it if it has the smaller χ² for the same stars. The length L of the line follows from L² = 12
+    × the difference of the principal variances, and is then refined by a parabola through χ² at this length and at a
+    tenth less and more.
 
     Parameters
     ----------
     starts : Starts
         Approximate positions of the spots.
     sigmas : (float, float)
-        Widths along x and y by the moments, for the start and in case no star can be measured.
+        Widths along x and y from the moments, px: the starting values, and the result if no star can be measured.
     reach_px : float
         Least half width of the table.
     """
@@ -336,6 +347,6 @@ def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float
 
 
 def _misfit(frame: Prepared, model: PsfModel, stars: Starts) -> float:
-    """Median χ² per degree of freedom of stars; one that the image does not fit at all counts against it."""
+    """Median χ² per degree of freedom of stars; a star that cannot be fitted counts as a very bad fit."""
     fits = fit_stars(frame.pixels, model.samples, stars, np.arange(len(stars.x)), True)
     return float(np.median(np.nan_to_num(fits[:, 6] / fits[:, 7], nan=1e6)))

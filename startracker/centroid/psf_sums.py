@@ -1,4 +1,4 @@
-"""Kernels of a fit's inner loop: the star image interpolated in pixels, and the sums over them."""
+"""Kernels of a fit's inner loop: interpolation of the star image in pixels, and the sums over them."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part, kernel_with
 from startracker.centroid.psf_model import Samples
 from startracker.core import FloatArray
-from startracker.kernels import kernel, kernel_part, kernel_with
 
 
 @kernel
 def interpolate(size: int, oversampling: int, distance: float, weights: FloatArray, row: int) -> int:
-    """Point of the table before a pixel at `distance` from the star; the weights of four points about it go to
-    a row of `weights`, and those of the derivative by the position in the table.
+    """Index of the table's point before a pixel at `distance` from the star, and the interpolation weights.
 
-    A pixel further on adds `oversampling` to the point, and leaves the weights as they are.
+    A row of `weights` receives the weights of the four points around the pixel, and those of the derivative with
+    respect to the index. The next pixel adds `oversampling` to the index, and has the same weights.
     """
     position = distance * oversampling + (size - 1) // 2
     first = math.floor(position)
     t = position - first
+    # Keys' cubic with a = −½ in Horner's form, then its derivative by t.
     weights[row, 0], weights[row, 1] = ((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0
     weights[row, 2], weights[row, 3] = ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t
     weights[row, 4], weights[row, 5] = (-1.5 * t + 2.0) * t - 0.5, (4.5 * t - 5.0) * t
@@ -34,8 +35,8 @@ def interpolated(
 ) -> tuple[float, float, float]:
     """Light in the pixel at (dx, dy) from the star, and its derivatives by dx and dy: bicubic (Keys 1981, a = −½).
 
-    (i, j) is the point of the table before it; the weights of x stand in a row, those of y in the next. Zero outside
-    the table.
+    (i, j) is the table's point before it; the weights of x are in row `row` of `weights`, those of y in the next. Zero
+    outside the table.
     """
     size = table.shape[0]
     if i < 1 or j < 1 or i > size - 3 or j > size - 3:
@@ -52,17 +53,18 @@ def interpolated(
     return value, by_x * oversampling, by_y * oversampling
 
 
-@kernel_part
+@kernel
 def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: FloatArray, lines: FloatArray) -> None:
-    """Light of a star in all pixels of a window, row by row, and its derivatives by dx and dy, to `out` (3, N).
+    """Light of a star in all pixels of a window, row by row, and its derivatives by dx and dy, into `out` (3, N).
 
-    The first pixel is at (dx, dy) from the star. Where the table is a sum of products of two axes its interpolation is
-    that of theirs, and it is not read. `lines` (6, L) is working space, L no less than 8, `wide` and `high`.
+    The first pixel is at (dx, dy) from the star. If the table is a sum of products, its factors are interpolated and
+    the table is not used. `lines` (6, L) is working space, with L at least 8, `wide` and `high`.
     """
     table, axes, oversampling, weights = psf.table, psf.axes, psf.oversampling, lines[4:]
     size = axes.shape[1] if len(axes) else table.shape[0]
-    first_x = interpolate(size, oversampling, dx, weights, 0)
-    first_y = interpolate(size, oversampling, dy, weights, 1)
+    first_x = interpolate(size, oversampling, dx, weights, np.int64(0))
+    first_y = interpolate(size, oversampling, dy, weights, np.int64(1))
+    # numba tests signed indices for negative values, which prevents vectorisation; `n` is therefore unsigned.
     share, by_x, by_y, n = out[0], out[1], out[2], np.uint64(0)
     if not len(axes):
         for j in range(high):
@@ -81,6 +83,7 @@ def fill_window(psf: Samples, dx: float, dy: float, wide: int, high: int, out: F
             s, t = share_y[j], slope_y[j]
             for i in range(wide):
                 p, px, py = share_x[i] * s, slope_x[i] * s, share_x[i] * t
+                # `out` is not initialised, so the first product is stored and the others are added.
                 if term == 0:
                     share[n], by_x[n], by_y[n] = p, px, py
                 else:
@@ -98,7 +101,7 @@ def _along(
     value: FloatArray,
     slope: FloatArray,
 ) -> None:
-    """Values and slopes of one axis at so many pixels from the point `first` on; zero outside."""
+    """Values and derivatives of one factor at `count` successive pixels from the point `first` on; zero outside."""
     for k in range(count):
         i = first + k * oversampling
         value[k], slope[k] = 0.0, 0.0
@@ -108,7 +111,8 @@ def _along(
             slope[k] = oversampling * (weights[4] * p0 + weights[5] * p1 + weights[6] * p2 + weights[7] * p3)
 
 
-# sums in any order: added up in the order of the pixels each sum waits for the one before, five times as long
+# With sums in the order of the pixels each addition waits for the one before; "reassoc" allows vectorisation, which is
+# five times as fast.
 @kernel_with(fastmath={"reassoc"})
 def weigh_pixels(
     shares: FloatArray,
@@ -119,7 +123,9 @@ def weigh_pixels(
     weigh: bool,
     rows: FloatArray,
 ) -> float:
-    """χ² of the model of M stars in N pixels; makes `shares` the model's slopes by ln(flux), x and y of each star.
+    """χ² of the model of M stars in N pixels; turns `shares` into the derivatives of the model.
+
+    The derivatives are those with respect to ln(flux), x and y of each star.
 
     Parameters
     ----------
@@ -127,19 +133,20 @@ def weigh_pixels(
         Light of each star of flux 1, and its derivatives by dx and dy, see `fill_window`.
     flux : (M,)
     signal, dark : (N,)
-        Of the pixels above the background, and its variance in the dark.
+        Signal above the background, DN, and its variance in the dark, DN².
     noise : (float, float)
-        DN an electron, and relative error of the flat field.
+        DN per electron, and relative error of the flat field.
     weigh : bool
-        Whether the variances are computed again.
+        Whether to compute the variances; otherwise those in `rows` are used.
     rows : (3, N)
-        Gets weights and residuals; variances, which are kept where they are not computed again.
+        Receives weights, residuals and variances.
     """
     weights, residuals, variances = rows[0], rows[1], rows[2]
     for star in range(len(flux)):
         light, by_x, by_y, f = shares[3 * star], shares[3 * star + 1], shares[3 * star + 2], flux[star]
         before = residuals if star else signal
         for n in range(len(signal)):
+            # dx and dy are measured from the star to the pixel, hence the opposite sign for the position of the star.
             light[n], by_x[n], by_y[n] = f * light[n], -f * by_x[n], -f * by_y[n]
             residuals[n] = before[n] - light[n]
     inverse_gain, flat_error, chi2 = noise[0], noise[1], 0.0
@@ -156,9 +163,10 @@ def weigh_pixels(
 def normal_equations(
     slopes: FloatArray, weights: FloatArray, residuals: FloatArray, normal: FloatArray, right: FloatArray
 ) -> None:
-    """Normal matrix, its lower half, and right side of weighted pixels, whose model has the slopes (3 K, N).
+    """Normal matrix (lower half) and right side of weighted pixels whose model has the derivatives `slopes` (3 K, N).
 
-    The sums are in any order; three parameters at a time, so that a pixel is read once for nine products.
+    The order of summation is free. Three parameters are processed at a time, so that a pixel is read once for nine
+    products.
     """
     for a in range(0, len(right), 3):
         f, x, y = slopes[a], slopes[a + 1], slopes[a + 2]

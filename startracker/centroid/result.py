@@ -1,4 +1,4 @@
-"""Measured star positions: of a centroider, and as the stages after it use them."""
+"""Measured star positions, as a centroider returns them and as later stages use them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from startracker.display import fields_repr
 
 _BRIGHTEST, _FEWEST = 9, 5
 _MEDIAN_ERROR = math.sqrt(0.5 * math.pi)
-"""Standard error of the median of normal deviates times the root of their number."""
+"""Standard error of the median of N Gaussian deviates times √N."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +27,16 @@ class Centroids:
     xy : array, shape (N, 2)
         Position, pixels; a pixel's centre has integer coordinates.
     flux : array, shape (N,)
-        Signal above the background, DN, the part outside the window included.
+        Signal above the background, DN, including the part outside the window.
     covariance : array, shape (N, 2, 2)
-        Of xy, px².
+        Covariance of xy, px².
     saturated : bool array, shape (N,)
         Whether the star's image is saturated.
     common_px2 : array, shape (2, 2), optional
-        Covariance of an error that all positions share, px², not part of `covariance`; None: there is none.
+        Covariance, px², of an error that all positions share; it is not part of `covariance`. None if there is none.
     misfit : float, optional
-        How far the brightest stars are from the image that was fitted to them (`misfit_of_brightest`); None: unknown.
+        Deviation of the brightest stars from the image that was fitted to them (`misfit_of_brightest`); None if
+        unknown.
     """
 
     xy: FloatArray
@@ -60,20 +61,20 @@ class Measured(NamedTuple):
     """Centroids of an image and their errors."""
 
     xy: FloatArray
-    """Pixels, (N, 2)."""
+    """Positions, px, (N, 2)."""
     flux: FloatArray | None = None
-    """Signal, (N,)."""
+    """Signal in any unit, (N,)."""
     variance_px2: FloatArray | None = None
-    """Variance on one axis, (N,); None: equal and estimated from the residuals."""
+    """Variance on one axis, px², (N,); None: equal for all, and estimated from the residuals."""
     covariance_px2: FloatArray | None = None
-    """Covariance, (N, 2, 2), if the axes differ, as for streaks."""
+    """Covariance, px², (N, 2, 2), if the axes differ, as for streaks."""
     common_px2: FloatArray | None = None
-    """Covariance of an error common to all centroids, (2, 2), which rotates the attitude and does not appear in
-    residuals. None: the star images show none, or cannot."""
+    """Covariance, px², (2, 2), of an error that all centroids share; it rotates the attitude and does not appear in the
+    residuals. None if the star images do not show one."""
     misfit: float | None = None
     """Deviation of the star images from the fitted ones (`Centroids.misfit`)."""
     light: Light | None = None
-    """The image, for what the detector rejected; None: the centroids are a list."""
+    """The image, in which light that the detector rejected can be found; None if the centroids are a list."""
 
 
 def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:
@@ -82,9 +83,9 @@ def misfit_of_brightest(flux: FloatArray, excess: FloatArray) -> float | None:
     Parameters
     ----------
     flux : (N,)
-        Brightness in any unit.
+        Brightness, in any unit.
     excess : (N,)
-        χ² of each fit minus its degrees of freedom, in standard deviations; not finite: left out.
+        χ² of each fit minus its degrees of freedom, in standard deviations; values that are not finite are ignored.
     """
     fitted = np.isfinite(excess).nonzero()[0]
     brightest = np.sort(excess[fitted[np.argsort(-flux[fitted], kind="stable")[:_BRIGHTEST]]])

@@ -1,21 +1,22 @@
-"""Skewness that all star images of a frame share, and how far it moves centroids that a symmetric image is fitted to.
+"""Skewness that all star images of a frame share, and the shift it causes in centroids that assume a symmetric image.
 
-Jitter within one exposure, or coma, makes all star images skew alike. A fit of a symmetric image is then off the
-image's mean by a shift that is nearly the same for all stars: the attitude turns, and no residual of the positions
-shows it. The pixels do. To first order a star's image is (Gram-Charlier series; Kendall & Stuart 1977, *The Advanced
-Theory of Statistics 1*, § 6.17)
+Jitter within one exposure, or coma, skews all star images of a frame in the same way. A fit of a symmetric image then
+deviates from the image's mean by a shift that is nearly the same for all stars: it rotates the attitude, and the
+residuals of the positions do not show it. The pixels do. To first order a star's image is (Gram–Charlier series;
+Kendall & Stuart 1977, *The Advanced Theory of Statistics 1*, § 6.17)
 
     F (G − κ_abc/6 ∂_abc G),     κ = (κ_xxx, κ_xxy, κ_xyy, κ_yyy)
 
-with G the Gaussian of the frame and κ the third cumulants, px³. With D the derivatives of F G by flux and position, K
-those by κ, and W the weights of a fit, the fit without κ finds the position off by A κ, A = (Dᵀ W D)⁻¹ Dᵀ W K. The
-weights depend on the brightness: |A| is smallest for a star whose photon noise outweighs the rest, largest for a faint
-one.
+with G the Gaussian of the frame and κ the third cumulants, px³. Let D be the derivatives of F G with respect to flux
+and position, K those with respect to κ, and W the weights of a fit. A fit without κ then has a position error of A κ, A
+= (Dᵀ W D)⁻¹ Dᵀ W K. The weights depend on the brightness: |A| is smallest for a star dominated by its photon noise, and
+largest for a faint one.
 
-A jittered star's true position is the mean of its image. With coma it is what the camera was calibrated with, centroids
-of stars of good signal (`REFERENCE_CONTRAST`), whose shift A₀ κ is part of its distortion. One frame cannot say which
-it is. The shift against such stars, (A − A₀) κ, is an error in both cases and is subtracted as it is measured
-(`startracker.centroid.asymmetry`); A₀ κ is in the covariance of an error that all positions share.
+The true position of a jittered star is the mean of its image. With coma it is the position with which the camera was
+calibrated, that of centroids of stars of good signal (`REFERENCE_CONTRAST`), whose shift A₀ κ is part of the
+distortion. One frame cannot distinguish the two. The shift relative to such stars, (A − A₀) κ, is an error in both
+cases and is measured and subtracted (`startracker.centroid.asymmetry`); A₀ κ is included in the covariance of an error
+that all positions share.
 """
 
 from __future__ import annotations
@@ -25,33 +26,37 @@ from typing import TypeAlias
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.centroid.frame import brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 
 Shape: TypeAlias = tuple[float, float, float]
 """Variances along x and y and covariance of the star image, px²."""
 
 REFERENCE_CONTRAST = 50.0
-"""Photon noise over background noise (variances) in the brightest pixel of the stars that calibrations rest upon."""
+"""Ratio of photon to background noise (variances) in the brightest pixel of the stars on which calibrations are
+based."""
 _LOOKED_AT, _FEWEST = 27, 3
 _NARROWEST = 0.3
-"""Variance along the narrower axis, px²: pixels do not resolve the third moments of a narrower image."""
+"""Variance along the narrower axis, px², below which pixels do not resolve the third moments of an image."""
 _LONGEST = 1.5**2
-"""Ratio of the variances along the axes from which the image may be a streak."""
+"""Ratio of the variances along the axes above which the image may be a streak."""
 _PARAMETERS, _CUMULANTS = 10, 4
 _FIRST = _PARAMETERS - _CUMULANTS
 _LEAST_CHI2 = 7.8
-"""χ² of κ (four degrees of freedom) that noise exceeds once in ten times."""
+"""χ² of κ (four degrees of freedom) that noise exceeds with a probability of 0.1."""
 _PIXEL = 1.0 / 12.0
 
 
 @kernel
 def _expansion(u: float, v: float, shape: Shape, out: FloatArray) -> None:
-    """A unit Gaussian at (u, v) from its centre, and what one unit of x, y, its variances and covariance, and its third
-    cumulants adds, to `out` (10,); the pixel's width is taken into the variances."""
+    """Gram–Charlier expansion (10,) of a unit Gaussian at (u, v), px, from its centre, into `out`.
+
+    Its value, and its derivatives with respect to x, y, xx, yy, xy and the four third cumulants. The pixel's variance,
+    1/12 px², is added to the variances.
+    """
     xx, yy, xy = shape[0] + _PIXEL, shape[1] + _PIXEL, shape[2]
     determinant = xx * yy - xy * xy
     a, b, c = yy / determinant, xx / determinant, -xy / determinant
@@ -65,7 +70,7 @@ def _expansion(u: float, v: float, shape: Shape, out: FloatArray) -> None:
 
 @kernel_part
 def expansions_of(half: int, shape: Shape) -> FloatArray:
-    """`_expansion` of a star in the middle of a pixel (W², 10), for all pixels of its window."""
+    """`_expansion` of a star centred on a pixel, (W², 10), for all pixels of its window."""
     side = 2 * half + 1
     out = np.empty((side * side, _PARAMETERS))
     for n in range(side * side):
@@ -75,18 +80,18 @@ def expansions_of(half: int, shape: Shape) -> FloatArray:
 
 @kernel
 def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: float, flat_error: float) -> FloatArray:
-    """A (2, 4), px per px³: how far a fit of a Gaussian is off the mean of an image, by its third cumulants.
+    """Matrix A (2, 4), px per px³: shift of a Gaussian fit from the mean of an image, per unit of its third cumulants.
 
     Parameters
     ----------
     expansions : (W², 10)
-        Of the Gaussian over the window, see `expansions_of`.
+        Expansion of the Gaussian over the window, see `expansions_of`.
     variance : float
-        Of a pixel in the dark, DN².
+        Variance of a pixel in the dark, DN².
     flux : float
-        Of the star, DN.
+        Flux of the star, DN.
     inverse_gain, flat_error : float
-        DN an electron, and the relative error of the flat field: of the weights.
+        DN per electron and relative error of the flat field, which determine the weights.
     """
     normal, row = np.zeros((3, 3)), np.empty(3)
     right = np.zeros((_CUMULANTS, 3))
@@ -101,23 +106,23 @@ def shifts(expansions: FloatArray, variance: float, flux: float, inverse_gain: f
             for k in range(_CUMULANTS):
                 right[k, p] += scaled * column[_FIRST + k]
     out = np.zeros((2, _CUMULANTS))
-    if factorise(normal, 3):
+    if factorise(normal, len(normal)):
         for k in range(_CUMULANTS):
             for p in range(3):
                 row[p] = right[k, p]
-            substitute(normal, 3, row)
+            substitute(normal, len(normal), row)
             out[0, k], out[1, k] = row[1], row[2]
     return out
 
 
-@kernel_part
+@kernel
 def common_skewness(
     pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape
 ) -> tuple[FloatArray, FloatArray, float, float]:
     """Third cumulants κ (4,) that stars share, their covariance (4, 4), χ² of κ, and the variance of a dark pixel.
 
-    Weighted least squares in each star's flux, position and variances, and the κ of all. The covariance is as much
-    larger as the stars' own κ scatter about it. All zero where fewer than three stars count.
+    Weighted least squares in each star's flux, position and variances, and the common κ. The covariance is scaled by
+    the scatter of the stars' own κ. All values are zero if fewer than three stars can be used.
     """
     side = 2 * half + 1
     work, column = np.empty((2, side * side)), np.empty(_PARAMETERS)
@@ -126,9 +131,9 @@ def common_skewness(
     for n in stars:
         if not _equations_of_star(pixels, table[n], half, shape, normal, right, work, column):
             continue
-        if not factorise(normal, _PARAMETERS):
+        if not factorise(normal, len(normal)):
             continue
-        # the last rows of Cholesky's factor are that of κ's normal matrix, the others eliminated
+        # The last rows of Cholesky's factor hold the normal matrix of κ with the other unknowns eliminated.
         for p in range(_PARAMETERS):
             for q in range(p):
                 right[p] -= normal[p, q] * right[q]
@@ -142,20 +147,20 @@ def common_skewness(
         variance += work[1, 0]
         count += 1
     mean, covariance = sums.copy(), np.zeros((_CUMULANTS, _CUMULANTS))
-    if count < _FEWEST or not factorise(total, _CUMULANTS):
+    if count < _FEWEST or not factorise(total, len(total)):
         return np.zeros(_CUMULANTS), covariance, 0.0, 1.0
-    substitute(total, _CUMULANTS, mean)
+    substitute(total, len(total), mean)
     chi2 = 0.0
     for p in range(_CUMULANTS):
         chi2 += mean[p] * sums[p]
     factor = max((square - chi2) / (_CUMULANTS * (count - 1.0)), 1.0)
     for p in range(_CUMULANTS):
         covariance[p, p] = factor
-        substitute(total, _CUMULANTS, covariance[p])
+        substitute(total, len(total), covariance[p])
     return mean, covariance, chi2 / factor, variance / count
 
 
-@kernel_part
+@kernel
 def _equations_of_star(
     pixels: Pixels,
     star: FloatArray,
@@ -166,9 +171,10 @@ def _equations_of_star(
     work: FloatArray,
     column: FloatArray,
 ) -> bool:
-    """Normal equations of one star's flux, position, variances and third cumulants; whether its window is whole.
+    """Normal equations of one star's flux, position, variances and third cumulants; returns whether its window is
+    complete.
 
-    `work` (2, W²) gets the pixels' signal and variance in the dark; `column` (10,) is working space.
+    `work` (2, W²) receives the pixels' signal and variance in the dark; `column` (10,) is working space.
     """
     side = 2 * half + 1
     x, y, flux, signal, dark = star[0], star[1], star[2], work[0], work[1]
@@ -194,27 +200,28 @@ def _equations_of_star(
 
 
 def skewness_covariance(pixels: Pixels, table: FloatArray, unfit: BoolArray, half: int, shape: Shape) -> FloatArray:
-    """Covariance (2, 2) of the shift A₀ κ that all positions share, px²; zero where the images are not skew.
+    """Covariance (2, 2), px², of the shift A₀ κ that all positions share; zero if the images are not skewed.
 
-    κ is left out where it may be noise, and shrunk by 1 − (7.8/χ²)² where it is not, which is steady at the limit.
+    κ is ignored if it may be noise, and otherwise multiplied by 1 − (7.8/χ²)², which is continuous at that limit.
 
     Parameters
     ----------
     table : (N, 6)
-        Fits.
+        Fits, see `startracker.centroid.psf_kernel.FITTED`.
     unfit : bool (N,)
         Stars that are saturated or at the border.
     half : int
-        Half width of the fits' windows.
+        Half width of the fits' windows, px.
     shape : (float, float, float)
-        Of the fitted image.
+        Variances along x and y and covariance of the fitted image, px².
     """
     xx, yy, xy = shape
     common = np.zeros((2, 2))
     middle, spread = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
+    # The first test excludes undersampled images, the second streaks.
     if not middle - spread > _NARROWEST or middle + spread > _LONGEST * (middle - spread):
         return common
-    x, y, flux = np.ascontiguousarray(table[:, :3].T)  # as columns the kernel would be compiled once more
+    x, y, flux = np.ascontiguousarray(table[:, :3].T)  # strided columns would need another compilation
     stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT)
     _fill_covariance(pixels, table, stars, half, shape, common)
     return common
@@ -224,13 +231,14 @@ def skewness_covariance(pixels: Pixels, table: FloatArray, unfit: BoolArray, hal
 def _fill_covariance(
     pixels: Pixels, table: FloatArray, stars: IntArray, half: int, shape: Shape, common: FloatArray
 ) -> None:
-    """Adds the covariance of `skewness_covariance` by the skewness of some stars."""
+    """Add the covariance of `skewness_covariance`, from the skewness of some stars, to `common`."""
     mean, covariance, chi2, dark = common_skewness(pixels, table, stars, half, shape)
     if not chi2 > _LEAST_CHI2:
         return
     xx, yy, xy = shape
     kept, inverse_gain = 1.0 - (_LEAST_CHI2 / chi2) ** 2, pixels.inverse_gain
     peak = 1.0 / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
+    # Flux of a star of the reference contrast, whose peak photon noise is that multiple of the background noise.
     at_reference = REFERENCE_CONTRAST * dark / (inverse_gain * peak) if inverse_gain > 0.0 else 0.0
     reference = shifts(expansions_of(half, shape), dark, at_reference, inverse_gain, 0.0)
     for a in range(2):

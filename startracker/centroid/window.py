@@ -1,4 +1,4 @@
-"""Kernels that read a star's window: moments, their noise, and the corrected position."""
+"""Kernels that read a star's window: its moments, their noise, and the corrected position."""
 
 from __future__ import annotations
 
@@ -8,32 +8,33 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.centroid.bias import GUESSES, fill_centres, guess_centre, invert_from, invert_moments, window_moments
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import finite_medians
 
 FloatImage = NDArray[np.float32]
 
 Moments: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 MEASURED = 6
-"""Columns of a measurement: x, y, flux, var x, var y, cov xy."""
+"""Number of columns of a measurement: x, y, flux, var x, var y, cov xy."""
 
 _WIDTH_STARS = 15
-"""Brightest clean stars of whose widths the median is taken."""
+"""Number of the brightest clean stars from whose widths the median is taken."""
 _RECENTRINGS = 3
 _LARGEST_FLAT_TOP_PX = 12
 _FLAT_TOP_ERROR_PX = 0.05
-"""Above the 0.03 px rms of cut-off Gaussians, σ 0.7 to 1.8 px, 1.2 to 1000 times over (tests/statistical)."""
+"""Position error of a saturated star, px: truncated Gaussians of σ 0.7 to 1.8 px, saturated 1.2 to 1000 times, have
+0.03 px rms (tests/statistical)."""
 _BLOOM_SHARE = 0.25
 _WITHIN_PIXEL = 0.35
 _PIXEL_VARIANCE = 1.0 / 12.0
 
 
 class Pixels(NamedTuple):
-    """What kernels know of a frame's pixels.
+    """Pixels of a frame and their noise, in the form that kernels read.
 
     Parameters
     ----------
@@ -42,9 +43,9 @@ class Pixels(NamedTuple):
     level, noise : Plane
         Background, DN.
     inverse_gain : float
-        DN an electron.
+        DN per electron.
     flat_error : float
-        Relative standard deviation of the pixels' responses.
+        Relative standard deviation of the pixels' sensitivities.
     """
 
     image: Image
@@ -55,7 +56,7 @@ class Pixels(NamedTuple):
 
 
 class Peaks(NamedTuple):
-    """Columns of `startracker.detection.spots.Spots` for kernels: brightest pixels, sizes, saturated."""
+    """Columns of `startracker.detection.spots.Spots` for kernels: brightest pixels, number of pixels, saturation."""
 
     x: IntArray
     y: IntArray
@@ -65,7 +66,7 @@ class Peaks(NamedTuple):
 
 @kernel_part
 def _lines_about(plane: Plane, y: np.uint64) -> tuple[np.uint64, np.uint64, np.float32]:
-    """The lines of a map above and below a row, and how far it is from the one to the other."""
+    """Indices of the lines of a map above and below a row, and the position of the row between them (0 to 1)."""
     cell = np.uint64(plane.cell[y])
     return cell, min(cell + np.uint64(1), np.uint64(len(plane.lines) - 1)), plane.share[y]
 
@@ -74,12 +75,14 @@ def _lines_about(plane: Plane, y: np.uint64) -> tuple[np.uint64, np.uint64, np.f
 def read_pixels(
     pixels: Pixels, left: int, top: int, wide: int, high: int, ceiling: float, signal: FloatArray, dark: FloatArray
 ) -> int:
-    """Signal above the background in a window, row by row, and its variance in the dark; how many pixels count.
+    """Signal above the background in a window, row by row, and its variance in the dark; returns the number of usable
+    pixels.
 
-    Those that do not, as they are not finite or at the ceiling, have no signal and an infinite variance.
+    Pixels that are not usable, because they are not finite or are at the ceiling, get no signal and an infinite
+    variance.
     """
     image, sky, noise, n, count = pixels.image, pixels.level.lines, pixels.noise.lines, np.uint64(0), 0
-    # no slices: they are counted in and out of use
+    # Single elements and no slices, because numba counts references to slices.
     for j in range(np.uint64(top), np.uint64(top + high)):
         upper, lower, share = _lines_about(pixels.level, j)
         quiet, loud, part = _lines_about(pixels.noise, j)
@@ -100,19 +103,21 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
     Returns
     -------
     tuple of 12 numbers
-        Signal S; mean x and y about (x, y); variances of x and y; the noise variances of the two means and their
-        covariance; limits low x, high x, low y, high y of the window about (x, y). S is NaN when a pixel is not finite.
+        Signal S; mean x and y relative to (x, y); variances of x and y; the noise variances of the two means and their
+        covariance; limits low x, high x, low y, high y of the window relative to (x, y). S is NaN if a pixel is not
+        finite.
 
     Notes
     -----
-    var(m_x) = Σ (k − m_x)² v_k / S², v = noise² + max(signal, 0) / gain: pixels independent, first order in noise.
+    var(m_x) = Σ (k − m_x)² v_k / S², v = noise² + max(signal, 0) / gain: independent pixels, to first order in the
+    noise.
     """
     image, sky, noise = pixels.image, pixels.level.lines, pixels.noise.lines
     inverse_gain = pixels.inverse_gain
     height, width = image.shape
     low_x, high_x = -min(half, x), min(half, width - 1 - x)
     low_y, high_y = -min(half, y), min(half, height - 1 - y)
-    # sums of the signal and of its variance, times 1, i, j, i², j², ij
+    # Sums of the signal and of its variance, times 1, i, j, i², j² and ij.
     s = si = sj = sii = sjj = 0.0
     v = vi = vj = vii = vjj = vij = 0.0
     for j in range(low_y, high_y + 1):
@@ -151,10 +156,10 @@ def read_window(pixels: Pixels, x: int, y: int, half: int) -> Moments:
 
 
 def frame_widths(pixels: Pixels, xs: IntArray, ys: IntArray, unfit: BoolArray, half: int) -> tuple[float, ...]:
-    """Median Gaussian widths along x and y of the brightest clean stars, of which the brightest pixels are given.
+    """Median Gaussian widths along x and y, px, of the brightest clean stars, given by their brightest pixels.
 
-    Each axis on its own: mean and variance of the marginal over the window, inverted for centre and width. NaN where no
-    window determines them.
+    On each axis, mean and variance of the marginal over the window are inverted to centre and width. NaN if no window
+    determines them.
     """
     clean = (~unfit).nonzero()[0][:_WIDTH_STARS]
     widths = np.full((len(clean), 2), np.nan)
@@ -164,7 +169,7 @@ def frame_widths(pixels: Pixels, xs: IntArray, ys: IntArray, unfit: BoolArray, h
 
 @kernel
 def _fill_widths(pixels: Pixels, xs: IntArray, ys: IntArray, half: int, widths: FloatArray) -> None:
-    """Widths (N, 2) of stars, as far as their windows determine them."""
+    """Fill the widths (N, 2) of stars whose windows determine them."""
     for n in range(len(xs)):
         w = read_window(pixels, xs[n], ys[n], half)
         for axis in range(2):
@@ -175,7 +180,7 @@ def _fill_widths(pixels: Pixels, xs: IntArray, ys: IntArray, half: int, widths: 
 
 @kernel_part
 def _recentred(pixels: Pixels, x: int, y: int, half: int) -> tuple[int, int]:
-    """Pixel on which the window's own moment is central: for flat tops, whose brightest pixel is any of many."""
+    """Pixel in which the moment of its own window lies: a flat top has many equally bright pixels."""
     height, width = pixels.image.shape
     for _ in range(8):
         w = read_window(pixels, x, y, half)
@@ -189,14 +194,14 @@ def _recentred(pixels: Pixels, x: int, y: int, half: int) -> tuple[int, int]:
 
 
 def measure_stars(pixels: Pixels, peaks: Peaks, half: int, sigma_x: float, sigma_y: float, correct: bool) -> FloatArray:
-    """Measurements (N, 6), see `MEASURED`, of stars whose brightest pixels are given; NaN where no star image is found.
+    """Measurements (N, 6), see `MEASURED`, of stars given by their brightest pixels; NaN if no star image is found.
 
     Parameters
     ----------
     sigma_x, sigma_y : float
-        Widths for the bias correction.
+        Widths for the bias correction, px.
     correct : bool
-        Whether to take the bias off; the flux is corrected for the window either way.
+        Whether to correct the bias; the flux is corrected for the light outside the window in any case.
     """
     out = np.full((len(peaks.x), MEASURED), np.nan)
     _measure(pixels, peaks, half, (sigma_x, sigma_y), correct, np.empty((2, GUESSES, 2)), np.empty((2, 3)), out)
@@ -208,7 +213,7 @@ def _measure(
     pixels: Pixels, peaks: Peaks, half: int, sigma: tuple[float, float], correct: bool, centres: FloatArray,
     axes: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Fills the rows of `measure_stars`; `centres` (2, `GUESSES`, 2) and `axes` (2, 3) are working space."""
+    """Fill the rows of `measure_stars`; `centres` (2, `GUESSES`, 2) and `axes` (2, 3) are working space."""
     for axis in range(2):
         fill_centres(sigma[axis], half, centres[axis])
     limit = max(sigma[0], sigma[1], 1.0) ** 2
@@ -219,35 +224,35 @@ def _measure(
             continue
         _measure_star(pixels, peaks.x[index], peaks.y[index], half, sigma, correct, centres, axes, row)
         if row[3] > limit or row[4] > limit:
-            # known no better than a star image, or a pixel, is wide: it is not a star image
+            # A fit with a standard deviation above a pixel and above the PSF's found no star image.
             for k in range(MEASURED):
                 row[k] = np.nan
 
 
 @kernel_part
 def _measure_flat_top(pixels: Pixels, peaks: Peaks, index: int, half: int, out: FloatArray) -> None:
-    """Row of a saturated star: its moment over a window grown by its radius."""
+    """Row of a saturated star: its moment over a window enlarged by its radius."""
     radius = math.sqrt(peaks.pixels[index] / math.pi)
     reach = min(half + math.ceil(radius), _LARGEST_FLAT_TOP_PX)
     x, y = _recentred(pixels, peaks.x[index], peaks.y[index], reach)
     w = read_window(pixels, x, y, reach)
     if not w[0] > 0.0:
         return
-    # charge that ran along one axis shows as a difference of the widths
+    # Blooming, in which charge spreads along one axis, makes the two widths different.
     bloomed = math.sqrt(max(w[3], 0.0)) - math.sqrt(max(w[4], 0.0))
     extra = _FLAT_TOP_ERROR_PX**2 + (_BLOOM_SHARE * bloomed) ** 2
     out[0], out[1], out[2] = x + w[1], y + w[2], w[0]
     out[3], out[4], out[5] = w[5] + extra, w[6] + extra, w[7]
 
 
-@kernel_part
+@kernel
 def _measure_star(
     pixels: Pixels, x: int, y: int, half: int, sigma: tuple[float, float], correct: bool, centres: FloatArray,
     axes: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Row of a star by its corrected moment, the window moved until its middle pixel holds the centre.
+    """Row of a star from its corrected moment, with the window moved until its central pixel contains the centre.
 
-    A row of `axes` gets the centre along an axis, d(centre)/d(moment) and the share of the light in the window.
+    A row of `axes` receives the centre along an axis, d(centre)/d(moment), and the share of the light in the window.
     """
     height, width = pixels.image.shape
     for attempt in range(_RECENTRINGS):
@@ -257,7 +262,7 @@ def _measure_star(
         for axis in range(2):
             moment, low, high = w[1 + axis], int(w[8 + 2 * axis]), int(w[9 + 2 * axis])
             if correct:
-                # of a whole window from the table, so that the first step is the last
+                # For a complete window the table is so accurate that one step of Newton's method is sufficient.
                 guess = guess_centre(moment, centres[axis]) if low == -half and high == half else moment
                 axes[axis, 0], axes[axis, 1], axes[axis, 2] = invert_from(guess, moment, sigma[axis], low, high)
             else:
@@ -272,7 +277,8 @@ def _measure_star(
     if not math.isfinite(axes[0, 1] + axes[1, 1]):
         return
     for axis in range(2):
-        # light that stays within one pixel says little of where, but never less than that it is this pixel
+        # If all light is within one pixel, the moments hardly determine the position, but it is at least known to be in
+        # this pixel, with a variance of 1/12 px².
         if sigma[axis] < _WITHIN_PIXEL:
             axes[axis, 1] = min(axes[axis, 1], math.sqrt(1.0 + _PIXEL_VARIANCE / w[5 + axis]))
     slope_x, slope_y = axes[0, 1], axes[1, 1]

@@ -1,4 +1,4 @@
-"""What is not light: defective pixels, hot pixels and tracks of particles, known by their sharpness."""
+"""Artefacts: defective pixels, hot pixels and particle tracks, recognised by being sharper than any star image."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
 from startracker.detection.background import Background
 from startracker.detection.matched import filtered_pixel
@@ -44,29 +45,32 @@ from startracker.detection.thresholds import (
 )
 from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel_part, pixel_kernel
 
 FloatImage = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 _SAMPLES = 1024
 _POWERS = 256
-"""Of two, of float32's values on either side of 1."""
+"""Number of powers of two on either side of 1 that are counted; float32 has no more."""
 
 
 def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, int]:
-    """A frame of such a range with NaN for the values that no light gives, and how many they are.
+    """Mask the values of a frame that no light can produce.
 
-    Looked for only in a frame whose values extend beyond 1e5 times its noise from the median. Beyond that, what lies
-    above the first gap of a factor of 128 or more in the distances from the median is not light, as the image of a star
-    falls off gradually from pixel to pixel. The frame given stays as it is.
+    A frame is searched only if its values extend beyond 1e5 times its noise from the median. Distances from the median
+    are then sorted into powers of two; values above the first gap of a factor of 128 or more are not light, because the
+    image of a star falls off gradually from pixel to pixel. `lowest` and `highest` are the extremes of the frame, DN.
+    Returns the frame, a copy with NaN if anything was masked, and the number of masked pixels.
     """
     if pixels.dtype.kind == "u":
         return pixels, 0
+    # An odd stride does not stay in one column of a frame whose width is a power of two.
     sample = pixels.reshape(-1)[:: max(1, pixels.size // _SAMPLES) | 1]
     ordered = np.sort(sample[np.isfinite(sample)])
     if not len(ordered):
         return pixels, 0
+    # The 16 % and 84 % quantiles lie one standard deviation from the median of a Gaussian; the smaller of the two
+    # distances is used, because stars or defects widen the other.
     low, middle, high = (float(ordered[int(share * len(ordered))]) for share in (0.158655, 0.5, 0.841345))
     limit = HIGHEST_SIGMA * min(high - middle, middle - low)
     if not max(highest - middle, middle - lowest) > limit:
@@ -78,11 +82,11 @@ def mask_extremes(pixels: Image, lowest: float, highest: float) -> tuple[Image, 
     return np.where(bad, np.float32(np.nan), pixels), int(np.count_nonzero(bad))
 
 
-@pixel_kernel
+@kernel
 def _last_light(image: FloatImage, middle: float, limit: float) -> float:
-    """Upper end of the values before the first gap beyond a limit, as distances from the middle; infinite for none.
+    """Upper bound, a power of two, of the distances from `middle` below the first gap beyond `limit`, DN.
 
-    Distances are counted by their powers of two, of which `GAP_POWERS` must be empty.
+    Distances are counted by powers of two; a gap is at least `GAP_POWERS` empty ones. Infinite if there is no gap.
     """
     seen = np.zeros(2 * _POWERS, np.bool_)
     for y in range(image.shape[0]):
@@ -107,12 +111,15 @@ def has_crowd(spots: Spots, pixels: int) -> bool:
 
 
 def mask_impulses(pixels: Image, background: Background) -> tuple[Image, int]:
-    """A frame with NaN for its hot pixels, and how many they are; the frame as it is where they are not most objects.
+    """Mask the hot pixels of a frame in which most objects are hot pixels.
 
-    A hot pixel stands 5σ above the background and has at most two neighbours with more than 0.15 of its signal, which
-    may be hot themselves.
+    A hot pixel is 5σ above the background and at most two of its neighbours, which may be hot themselves, have more
+    than 0.15 of its signal. Returns the frame, a float32 copy with NaN if anything was masked, and the number of masked
+    pixels.
     """
     bad, alone, peaks = _impulses(pixels, background.level_plane, background.noise_plane)
+    # A pixel has eight neighbours: if a fraction f of all pixels is hot at random, (1 − f)⁸ of the hot ones stand
+    # alone.
     at_random = (1.0 - np.count_nonzero(bad) / bad.size) ** 8
     if not alone or alone < min(MOSTLY_ALONE, ALONE_OF_RANDOM * at_random) * peaks:
         return pixels, 0
@@ -120,9 +127,9 @@ def mask_impulses(pixels: Image, background: Background) -> tuple[Image, int]:
     return np.where(bad, np.float32(np.nan), pixels.astype(np.float32, copy=False)), count
 
 
-@pixel_kernel
+@kernel
 def _impulses(image: Image, level: Plane, noise: Plane) -> tuple[Flags, int, int]:
-    """Hot pixels, how many have no bright neighbour, and how many bright pixels are hot or the highest of nine."""
+    """Mask of hot pixels, how many of them stand alone, and how many bright pixels are hot or local maxima."""
     height, width = image.shape
     bad: Flags = np.zeros((height, width), np.bool_)
     alone, peaks = 0, 0
@@ -137,7 +144,7 @@ def _impulses(image: Image, level: Plane, noise: Plane) -> tuple[Flags, int, int
                 for i in range(max(x - 1, 0), min(x + 2, width)):
                     above += int(np.float32(image[j, i]) > limit)
                     higher += int(image[j, i] > image[y, x])
-            hot = above <= 3  # itself and two more
+            hot = above <= 3  # the pixel itself and two neighbours
             bad[y, x] = hot
             alone += int(above == 1)
             peaks += int(hot or higher == 0)
@@ -145,17 +152,18 @@ def _impulses(image: Image, level: Plane, noise: Plane) -> tuple[Flags, int, int
 
 
 def fill_gaps(pixels: Image) -> Image:
-    """A frame whose pixels that are not finite are bridged from their neighbours, as far as they have some.
+    """Fill the pixels that are not finite from their neighbours, where these are finite.
 
-    From all eight it is (2 Σ beside − Σ diagonal) / 4, exact for any a(x) + b(y) + c x y; with
-    fewer, the mean of those beside, or of the diagonal ones. For detection only: a centroid leaves such pixels out.
+    With all eight neighbours the value is (2 Σ adjacent − Σ diagonal) / 4, which is exact for any a(x) + b(y) + c x y;
+    with fewer, it is the mean of the adjacent ones, or else of the diagonal ones. Used for detection only: centroids
+    leave such pixels out.
     """
     if pixels.dtype.kind == "u" or np.isfinite(pixels.sum(dtype=np.float64)):
         return pixels
     return np.asarray(_filled(pixels))
 
 
-@pixel_kernel
+@kernel
 def _filled(image: FloatImage) -> FloatImage:
     height, width = image.shape
     out = image.copy()
@@ -171,6 +179,7 @@ def _filled(image: FloatImage) -> FloatImage:
                             beside, near = beside + image[j, i], near + 1
                         else:
                             diagonal, far = diagonal + image[j, i], far + 1
+            # With 2 Σ adjacent − Σ diagonal the result is exact for a(x) + b(y) + c x y; a plain mean flattens a peak.
             if near == 4 and far == 4:
                 out[y, x] = 0.5 * beside - 0.25 * diagonal
             elif near > 0:
@@ -200,27 +209,28 @@ class Sharpness(NamedTuple):
 
 
 def common_width(variance: FloatArray) -> float:
-    """The variance that most values share, to a factor 1.3 either way; NaN for none.
+    """Variance that the largest number of values share, within a factor of 1.3 either way; NaN if there are none.
 
-    Cosmic rays scatter over all widths, stars agree: so stars are found among more cosmic rays than stars, where a
-    median fails. Of equal numbers the wider counts.
+    Cosmic rays scatter over all widths while stars agree, so this finds the stars' width even where cosmic rays
+    outnumber stars and a median fails. Of two groups of equal size the wider one is chosen.
     """
     values = np.sort(variance[(variance > 0.0) & (variance < np.inf)])
     if not len(values):
         return math.nan
     first = values.searchsorted(values / COMMON_WIDTH_RATIO, "left")
     last = values.searchsorted(values * COMMON_WIDTH_RATIO, "right") - 1
+    # Reversed, so that argmax, which returns the first of equal counts, finds the widest group.
     widest = len(values) - 1 - (last - first)[::-1].argmax()
     middle = first[widest] + last[widest]
     return float(0.5 * (values[middle // 2] + values[(middle + 1) // 2]))
 
 
 def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: int) -> Sharpness:
-    """Least variance along the minor axis that a star image of the frame can have.
+    """Sharpest star image of the frame: the least variance along the minor axis that a star can have.
 
-    The stars' common variance is that of the first forty clear ones among the eighty brightest sources that are
-    `judged`, or of what is not a hot pixel where hot pixels are nearly all. `pixels` (N, 2) are the sources' brightest,
-    x and y. The first sources, `ahead` of them, are measured in any case.
+    The stars' common variance is taken from the first forty clear sources among the eighty brightest of `judged` (N,),
+    or from those that are not hot pixels where nearly all are. `pixels` (N, 2) holds the brightest pixel of each
+    source, x and y. The first `ahead` sources are measured in any case.
     """
     candidates = judged.nonzero()[0]
     brightest, rest = candidates[: 2 * _WIDTH_STARS], candidates[2 * _WIDTH_STARS :]
@@ -228,6 +238,8 @@ def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: in
     first[:ahead] = first[brightest] = True
     shapes, width = np.full((len(pixels), SHAPE_COLUMNS), np.nan), math.nan
     examined, weight_px = first.nonzero()[0], _WEIGHT_PX
+    # The weight must be wider than the stars, or their variance cannot be recovered from the weighted moments: it is
+    # widened until it is, and then all shapes are measured again.
     for attempt in range(_WEIGHTS):
         shapes[examined] = shapes_at(*searched[:3], pixels[examined], weight_px)
         if attempt == _WEIGHTS - 1:
@@ -245,16 +257,17 @@ def sharpest_star(pixels: IntArray, judged: Flags, searched: Searched, ahead: in
     limit = min(SHARP_SHARE * width, WIDEST_TRACK_PX2) if width > SHARPEST_STARS_PX2 else 0.0
     share = math.inf
     if limit > 0.0 and searched.half[1] != 0.0:
+        # The least variance of a star includes that of the pixel, 1/12 px²; the profile needs the star's own.
         share = peak_share(math.sqrt(max(limit - _PIXEL_VARIANCE, 0.01)), searched.half)
     return Sharpness(limit, share, weight_px, shapes)
 
 
 def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
-    """The variance that stars share where they are few among hot pixels; else `width`.
+    """Variance that stars share where they are few among hot pixels; otherwise `width`.
 
-    Stars sharper than a pixel are not taken for hot pixels: wherever such a star falls off the middle of its pixel, its
-    neighbours have light too. So where nearly all that is sharp is nothing but one pixel, and three others are not
-    sharp, these are the stars.
+    Stars sharper than a pixel are not mistaken for hot pixels: wherever such a star falls off the middle of its pixel,
+    its neighbours receive light too. So if nearly all sharp sources are single pixels, and at least three others are
+    not sharp, the others are the stars.
     """
     clear = shapes[shapes[:, SHAPE_SNR] > WIDTH_SNR]
     is_wide = clear[:, MINOR] > SHARPEST_STARS_PX2
@@ -266,7 +279,7 @@ def _width_beside_pixels(shapes: FloatArray, width: float) -> float:
 
 
 def measure_more(sharpness: Sharpness, which: IntArray, pixels: IntArray, searched: Searched) -> None:
-    """Shapes of those of some sources that are not measured yet, into the table of them."""
+    """Measure those sources of `which` that are not measured yet, and enter their shapes into the table."""
     new = which[np.isnan(sharpness.shapes[which, MINOR])]
     if len(new):
         sharpness.shapes[new] = shapes_at(*searched[:3], pixels[new], sharpness.weight_px)
@@ -276,13 +289,15 @@ def measure_more(sharpness: Sharpness, which: IntArray, pixels: IntArray, search
 def is_sharp(searched: Searched, sharpness: Sharpness, source: int, x: int, y: int) -> bool:
     """Whether a source with its brightest pixel at x, y is sharper than the star images of its frame.
 
-    The optics spread all light alike; charge that arises in the detector stays in its pixels. Judged is the variance
-    along the minor axis: a track is long at most in one direction, and smear widens no star in that one. The sharpest
-    star allowed has 0.45 of the variance that the frame's stars share, and at most 0.4 px² (the PSF of a poor lens
-    varies more than twice over its field, but a track is never wider). A source is sharp if it is below that by twice
-    its standard error; or, where the matched filter spreads light, if its brightest pixel exceeds by three times its
-    noise that of such a star with the source's filtered signal: this finds a hot pixel of 9σ, whose moments do not show
-    it. Saturated sources, those cut off by the border, and frames whose stars are as sharp as tracks, are not judged.
+    The optics spread all light in the same way, while charge generated in the detector stays in its pixels. The test
+    uses the variance along the minor axis: a track is long in one direction at most, and smear does not widen a star
+    across it. The sharpest star allowed has 0.45 of the variance that the frame's stars share, and at most 0.4 px² (the
+    PSF of a poor lens varies more than twofold over its field, but a track is never wider).
+
+    A source is sharp if its variance is below that limit by twice its standard error. It is also sharp, where the
+    matched filter spreads light, if its brightest pixel exceeds that of the sharpest star of the same filtered signal
+    by three times its noise: this finds a hot pixel of 9σ, whose moments are too noisy. Saturated sources, sources cut
+    off by the border, and frames whose stars are as sharp as tracks are not tested.
     """
     shapes = sharpness.shapes
     if shapes[source, MINOR] + SHARP_ERRORS * shapes[source, MINOR_ERROR] < sharpness.limit_px2:
@@ -294,7 +309,9 @@ def is_sharp(searched: Searched, sharpness: Sharpness, source: int, x: int, y: i
 
 
 def peak_share(star_sigma_px: float, half: FloatImage) -> float:
-    """Brightest pixel of a star on a pixel's centre, as a share of its signal after the filter `half`."""
+    """Brightest pixel of a star centred on a pixel, as a share of its signal after the filter `half`."""
+    # erf((k + ½) / √2 σ) is the light between −(k + ½) and k + ½, so that the difference of two successive values is
+    # the light of the pixels k and −k together. Both axes are the same, hence the square.
     edges = [math.erf((k + 0.5) / (math.sqrt(2.0) * star_sigma_px)) for k in range(len(half))]
     along, before = 0.0, 0.0
     for edge, weight in zip(edges, half.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""Local background and its noise, strong smooth structure in it, and the light above it."""
+"""Local background of an image, its noise, and a background that follows strong, smooth structure."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from startracker._compiled import kernel
 from startracker.core import BoolArray, FloatArray
 from startracker.detection.thresholds import STRUCTURE_NOISE_TIMES
 from startracker.detection.tiles import (
@@ -22,7 +23,6 @@ from startracker.detection.tiles import (
 )
 from startracker.detection.values import Image, as_image, as_pixels, is_value
 from startracker.errors import InputError
-from startracker.kernels import pixel_kernel
 
 __all__ = ["Background", "as_image", "estimate", "noise_floor"]
 
@@ -32,7 +32,7 @@ _SMALLEST_TILE_PX = 8
 _STEP_SAMPLES = 4096
 _ON_LATTICE = 0.01
 _NOISE_FREE = 1e-5
-"""Noise ascribed to an image that has none, as a share of its range: the tails of a bright star stay a small spot."""
+"""Noise assigned to an image that has none, as a share of its range: small enough that a bright star stays small."""
 
 
 class Background:
@@ -48,20 +48,21 @@ class Background:
     Attributes
     ----------
     level_plane, noise_plane : Plane
-        The same for kernels, which look at few pixels; the whole maps are drawn when they are first asked for.
+        The same maps for kernels, which read only a few pixels; the full arrays are computed on first access.
     """
 
     def __init__(self, level: FloatImage | Plane, noise: FloatImage | Plane) -> None:
         self.level_plane = level if isinstance(level, Plane) else as_plane(level)
         self.noise_plane = noise if isinstance(noise, Plane) else as_plane(noise)
+        # A given array is the value of its cached property, which is then never computed.
         if not isinstance(level, Plane):
-            self.__dict__["level"] = level
+            self.level = level
         if not isinstance(noise, Plane):
-            self.__dict__["noise"] = noise
+            self.noise = noise
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of the image."""
+        """Rows and columns of the image."""
         return len(self.level_plane.cell), self.level_plane.lines.shape[1]
 
     @cached_property
@@ -78,15 +79,15 @@ class Background:
 def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
     """Background level and noise of an image.
 
-    The image is cut into tiles of about `tile_px`; some 400 pixels of each, spread over all its rows, give a median
-    and the 84 % quantile, then a mean and a standard deviation clipped three times at 3σ about the median, the latter
-    corrected for the clipping. Tiles pass a 3×3 median, which a bright star or
-    the Moon does not survive, and are interpolated bilinearly between their centres; the level continues
-    linearly to the borders. The procedure is that of Bertin & Arnouts 1996 (SExtractor, section 4).
+    The image is cut into tiles of about `tile_px`. Some 400 pixels of each tile, spread over all its rows, give a
+    median and the 84 % quantile, then a mean and a standard deviation, clipped three times at 3σ about the median; the
+    standard deviation is corrected for the clipping. The tiles pass a 3 × 3 median, which removes a bright star or the
+    Moon, and are interpolated bilinearly between their centres; the level is extrapolated linearly to the borders. The
+    procedure is that of Bertin & Arnouts 1996 (SExtractor, section 4).
 
-    The noise never falls below the rounding error of the image's own digitisation, step/√12, nor, in an image without
-    a step, below 1e-5 of its range: what has no noise (a rendered frame, the black of an 8-bit photograph) still gets
-    a threshold that its stars alone exceed.
+    The noise is never below the rounding error of the image's own digitisation, step/√12, nor, in an image without a
+    step, below 1e-5 of its range: an image without noise (a rendered frame, the black of an 8-bit photograph) still
+    gets a threshold that only its stars exceed.
 
     Parameters
     ----------
@@ -118,6 +119,7 @@ def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
     valid = np.isfinite(level)
     if not valid.any():
         return Background(np.zeros(pixels.shape, np.float32), np.ones(pixels.shape, np.float32))
+    # A tile without finite pixels (a masked region, a border of NaN) gets the median of the others.
     if not valid.all():
         level[~valid], noise[~valid] = np.median(level[valid]), np.median(noise[valid])
     level, noise = smooth_tiles(statistics)
@@ -130,10 +132,10 @@ def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
 def noise_floor(image: Image) -> tuple[float, float]:
     """Digitisation step of an image and the least noise it can have, DN.
 
-    The step is the greatest common divisor of the differences of whole-numbered values (16 for a 12-bit image
-    stretched to 16 bits); the smallest gap of other values on a lattice (means of colour channels); the median gap of
-    values that at least repeat; else 0. The floor is step/√12, the standard deviation of rounding, and at least 1e-5
-    of the range where values are not whole.
+    The step is the greatest common divisor of the differences of integer values (16 for a 12-bit image stretched to 16
+    bits); for other values on a lattice (means of colour channels) it is their smallest gap; for values that repeat
+    without lying on a lattice it is their median gap; otherwise it is 0. The floor is step/√12, the standard deviation
+    of rounding, and at least 1e-5 of the range if the values are not integers.
     """
     flat = image.reshape(-1)
     sample: NDArray[Any] = flat[:: max(1, flat.size // _STEP_SAMPLES)]
@@ -147,6 +149,7 @@ def noise_floor(image: Image) -> tuple[float, float]:
     if not values.size or not finite.size:
         return 0.0, 1.0
     span = float(finite.max()) - float(np.median(values))
+    # Values that are nearly all different are not digitised: only repeated ones can show a step.
     step = _lattice_step(values) if values.size <= sample.size // 4 else 0.0
     # float32 does not resolve values closer than this
     resolution = float(np.finfo(np.float32).eps) * float(np.abs(finite).max())
@@ -154,7 +157,7 @@ def noise_floor(image: Image) -> tuple[float, float]:
 
 
 def _lattice_step(values: NDArray[Any]) -> float:
-    """Step of the lattice of sorted values; where they lie on none, their median gap, at most 1/255 of the range."""
+    """Step of the lattice of sorted values; if they lie on no lattice, their median gap, at most 1/255 of the range."""
     if values.size < 3:
         return 0.0
     gaps = np.diff(values.astype(np.float64))
@@ -165,31 +168,38 @@ def _lattice_step(values: NDArray[Any]) -> float:
 
 
 _LAG_PX = 5
-"""Distance of the pixels whose difference measures the noise: beyond a star image and correlation in photographs."""
+"""Distance between the pixels whose difference measures the noise: larger than a star image and than the correlation
+length of noise in photographs."""
 _ROWS, _COLUMNS = 16, 64
-"""Where differences are taken: along few rows, as every row of an image must be fetched again."""
+"""Rows and columns at which differences are taken; only few rows, because each row must be fetched from memory
+again."""
 _SPREAD = 0.67449 * math.sqrt(1.5)
-"""Median of the absolute value of such a difference, for noise of 1."""
+"""Median absolute value of the difference of a pixel to the mean of two others, for noise of standard deviation 1:
+0.67449 times √(1 + ½)."""
 _BIN_PX = 4
 _REACH_BINS = 2
-"""The background is a median of 5 × 5 bins: 20 px, of which a star takes 4 bins of 25, a long trail 5 to 10."""
+"""The background is a median of 5 × 5 bins of 4 px: 20 px, of which a star covers 4 bins of 25 and a long trail 5 to
+10."""
 
 
 def has_structure(image: Image, background: Background) -> bool:
     """Whether the background's noise is more than 1.5 times the noise of the pixels.
 
-    The latter is measured by differences of a pixel to the mean of two at 5 px on either side, along x or y, whichever
-    are larger, in units of the background's noise: slopes do not count in them.
+    The noise of the pixels is measured by the differences between a pixel and the mean of the two at 5 px on either
+    side, along x or y, whichever are larger, in units of the background's noise. Slopes cancel in these differences.
     """
     if min(image.shape) <= 2 * _LAG_PX:
         return False
     return bool(_is_quiet(image, background.noise_plane))
 
 
-@pixel_kernel
+@kernel
 def _is_quiet(image: Image, noise: Plane) -> bool:
-    """Whether the robust standard deviation of the differences of a thousand pixels, in units of the background's
-    noise, is below the limit in both directions, and not zero in one: the medians are compared by counting."""
+    """Whether the differences of a thousand pixels are quiet along both axes, and not all zero along one.
+
+    Quiet means that their robust standard deviation, in units of the background's noise, is below the limit. The
+    medians are compared by counting values below the limit, so that nothing is sorted.
+    """
     height, width = image.shape
     down, right = max(1, height // _ROWS), max(1, width // _COLUMNS)
     quiet, moving = True, False
@@ -210,16 +220,16 @@ def _is_quiet(image: Image, noise: Plane) -> bool:
 def follow_structure(image: Image, tile_px: int = 64) -> Background:
     """Background that follows structure of some 20 px and more.
 
-    Means of bins of 4 px, without the highest and the lowest pixel of each, pass a 5 × 5 median, which a slope passes
-    unchanged and a star does not; the median of what is left is added once more (Tukey's twicing), so that a ridge is
-    not cut off by its curvature. The noise is that of what remains, from tiles as in `estimate`.
+    Means of bins of 4 px, without the highest and the lowest pixel of each, pass a 5 × 5 median, which leaves a slope
+    unchanged and removes a star. The median of the residual is added once more (Tukey's twicing), so that a ridge is
+    not cut off by its curvature. The noise is that of the residual image, from tiles as in `estimate`.
 
     Parameters
     ----------
     image : array, shape (H, W)
-        DN; not finite: left out.
+        DN; pixels that are not finite are left out.
     tile_px : int
-        Side of the tiles of the noise.
+        Size of the tiles in which the noise is measured.
     """
     height, width = image.shape
     floor = noise_floor(image)[1]
@@ -229,8 +239,7 @@ def follow_structure(image: Image, tile_px: int = 64) -> Background:
     level = _medians(bins)
     level += _medians(bins - level)
     plane = interpolate_tiles(level, height, width, True)
-    made = Background(plane, plane)
-    residual = np.asarray(image, np.float32) - made.level
+    residual = np.asarray(image, np.float32) - fill_plane(plane)
     rows, columns = max(1, round(height / tile_px)), max(1, round(width / tile_px))
     _, noise = tile_statistics(residual, rows, columns, 0.0)
     known = np.isfinite(noise)
@@ -238,9 +247,9 @@ def follow_structure(image: Image, tile_px: int = 64) -> Background:
     return Background(plane, interpolate_tiles(np.maximum(smooth_tiles(noise), floor), height, width, False))
 
 
-@pixel_kernel
+@kernel
 def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
-    """Mean of each of rows × columns bins without its highest and its lowest pixel; NaN of no pixel."""
+    """Mean of each of rows × columns bins without its highest and lowest pixel; NaN for a bin without finite pixels."""
     height, width = image.shape
     out = np.empty((rows, columns))
     for row in range(rows):
@@ -260,7 +269,7 @@ def _bin_means(image: Image, rows: int, columns: int) -> FloatArray:
 
 
 def _medians(bins: FloatArray) -> FloatArray:
-    """Medians of 5 × 5; outside, the map continues point-symmetrically about its border, so that a slope stays one."""
+    """Median of 5 × 5 bins; beyond its border the map is continued point-symmetrically, so that slopes continue."""
     from scipy import ndimage
 
     reach = min(_REACH_BINS, min(bins.shape) - 1)
@@ -271,8 +280,8 @@ def _medians(bins: FloatArray) -> FloatArray:
 
 
 _GRID = 48
-"""Positions per axis at which the share of the image that stands out is measured: 3 % of it to 0.4 %."""
-_CHANCE_SIGMAS = 3.0
+"""Positions per axis at which the share of bright pixels is measured: a share of 3 % is found to 0.4 %."""
+_CHANCE_SIGMAS = 3.0  # standard deviations of the number of chance coincidences
 _AROUND = np.array([(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)])
 
 
@@ -284,7 +293,7 @@ class Light(NamedTuple):
     image : (H, W)
     background : Background
     threshold_sigma : float
-        What stands out, in standard deviations of the noise of a pixel.
+        Threshold in standard deviations of the noise of a pixel.
     """
 
     image: Image
@@ -297,14 +306,16 @@ class Light(NamedTuple):
         pixel = np.rint(xy).astype(np.int64)[:, None, :] + _AROUND
         x, y = np.clip(pixel[..., 0], 0, width - 1), np.clip(pixel[..., 1], 0, height - 1)
         level, noise = self.background.level[y, x], self.background.noise[y, x]
-        above = self.image[y, x] - level > self.threshold_sigma * noise  # NaN is not
+        # Comparisons with NaN are false, so that a pixel without a value does not count as bright.
+        above = self.image[y, x] - level > self.threshold_sigma * noise
         return np.asarray(above.any(axis=1))
 
     def seen(self, xy: FloatArray) -> BoolArray:
-        """Whether each position has light, if more of them have than positions anywhere on the image by chance.
+        """Which positions (N, 2) have light; none if no more of them have than random positions would.
 
-        With n positions and a share p of the image that stands out, p n have light by chance, with a standard deviation
-        of √(p (1 − p) n); up to three of these above it none counts as seen.
+        If a share p of the image is above the threshold, p n of n positions have light by chance, with a standard
+        deviation of √(p (1 − p) n). Unless the number is more than three of these above p n, all positions count as
+        dark.
         """
         lit = self.stands_out(xy)
         height, width = self.image.shape

@@ -1,4 +1,4 @@
-"""Stars whose images touch, parted."""
+"""Separation of stars whose images touch."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.detection.sources import SOURCE, Sources, add_pixel, join_tables
 from startracker.detection.thresholds import (
@@ -21,7 +22,6 @@ from startracker.detection.thresholds import (
 )
 from startracker.detection.tiles import Plane
 from startracker.detection.values import Image
-from startracker.kernels import kernel, kernel_part
 
 _FAR_PX2 = 1 << 62
 
@@ -34,7 +34,8 @@ def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     before, after, above, below = x > 0, x + one < width, y > 0, y + one < height
     left, right = x - np.uint64(before), x + np.uint64(after)
     up, down = y - np.uint64(above), y + np.uint64(below)
-    # without a branch, as one in a few pixels is a peak; beyond the border the pixel itself stands for the missing one
+    # Without branches, which would often be mispredicted, because one pixel in a few is a peak. At the border the pixel
+    # itself replaces the missing neighbours.
     higher = (image[y, right] > value) | (image[down, left] > value) | (image[down, x] > value)
     higher |= (image[down, right] > value) | (image[up, left] > value) | (image[up, x] > value)
     higher |= (image[up, right] > value) | (image[y, left] > value)
@@ -44,7 +45,7 @@ def _is_peak(image: Image, x: np.uint64, y: np.uint64) -> bool:
     return not (higher | same | (before & (image[y, left] == value)))
 
 
-@kernel_part
+@kernel
 def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> float:
     """Least signal on the straight line from one pixel to another.
 
@@ -66,7 +67,7 @@ def _valley(image: Image, level: Plane, x0: int, y0: int, x1: int, y1: int) -> f
 
 
 class _Peaks(NamedTuple):
-    """Highest pixels of their neighbourhoods in objects that have several."""
+    """Local maxima of the objects that have several."""
 
     position: IntArray
     """x, y and object (N, 3)."""
@@ -80,10 +81,10 @@ def part_blends(
 ) -> tuple[Sources, int]:  # fmt: skip
     """Table of objects in which those with several peaks are replaced by one object per peak, and how many were.
 
-    A peak counts when it has more than 0.05 of every brighter one of its object and the signal on the straight line
-    there falls below 0.8 of it and by more than 4 times the noise. Pixels go to the nearest peak. Objects of fewer
-    than six or more than `most_pixels` pixels stay whole, and so do those that are no larger than the star image of the
-    frame, if this has several peaks itself (`_of_common_image`).
+    A peak counts as a star if it has more than 0.05 of the height of every brighter peak of its object, and if the
+    signal on the straight line to that peak falls below 0.8 of it and by more than 4 times the noise. Each pixel is
+    assigned to the nearest peak. Objects with fewer than six or more than `most_pixels` pixels are not split, nor are
+    objects no larger than the star image of the frame if this has several peaks itself (`_of_common_image`).
     """
     most = int(table["pixels"].sum()) + 1
     room = _Peaks(np.empty((most, 3), np.int64), np.empty(most))
@@ -91,6 +92,7 @@ def part_blends(
     if not count:
         return table, 0
     peaks = _Peaks(room.position[:count], room.height[:count])
+    # Object by object, and by falling height within an object, so that a peak is compared only with brighter ones.
     order = np.lexsort((-peaks.height, peaks.position[:, 2]))
     # accepted peaks of an object form a chain: head[object] → following[peak] → …
     head, following = np.full(len(table), -1), np.full(count, -1)
@@ -103,15 +105,15 @@ def part_blends(
         return table, 0
     parts = np.zeros(count, SOURCE)
     _share_pixels(runs, number, (head, following), peaks.position, image, level, np.float32(saturation), parts)
-    # a part's highest pixel is its peak by construction, unless a neighbour's slope reaches into its cell
+    # The brightest pixel of a part is its peak, unless the slope of a neighbour extends into its cell.
     kept = (parts["pixels"] > 0) & (parts["peak_residual"] <= peaks.height)
     return join_tables(table.take((head < 0).nonzero()[0]), parts.take(kept.nonzero()[0])), parted
 
 
 def _of_common_image(table: Sources, parted: BoolArray, most_pixels: int) -> BoolArray:
-    """Objects (N,) with several peaks, `parted`, that are the star image of the frame: a ring, far out of focus.
+    """Objects (N,) of several peaks, `parted`, that are star images of the frame: a defocused star is a ring.
 
-    It has several peaks if most of the brightest objects do, and all of them are of one size; blends are not.
+    The star image has several peaks if most of the brightest objects do and these agree in size; blends differ in size.
     """
     fit = (table["pixels"] >= BLEND_PIXELS) & (table["pixels"] <= most_pixels) & ~table["edge"]
     fit &= table["saturated"] == 0
@@ -120,6 +122,7 @@ def _of_common_image(table: Sources, parted: BoolArray, most_pixels: int) -> Boo
     rings = bright[parted[bright]]
     if len(rings) < max(FEWEST_RINGS, RING_MAJORITY * len(bright)):
         return np.zeros(len(table), np.bool_)
+    # Second moment xx + yy about the centre of light, px²: a measure of size that does not depend on the brightness.
     flux = np.maximum(table["flux"], 1e-30)
     x, y = table["sum_x"] / flux, table["sum_y"] / flux
     size = (table["sum_xx"] + table["sum_yy"]) / flux - x * x - y * y
@@ -135,9 +138,9 @@ def _find_peaks(
     runs: IntArray, number: IntArray, table: Sources, most_pixels: int, image: Image, level: Plane, count: IntArray,
     peaks: _Peaks,
 ) -> int:  # fmt: skip
-    """Fill the peaks of objects of some sizes that have several; how many. `count` (N,) gets the peaks of each object.
+    """Fill `peaks` with those of objects within the limits of size that have several; returns their number.
 
-    `peaks` has room for all pixels.
+    `count` (N,) receives the number of peaks of each object. `peaks` has room for all pixels.
     """
     position, height, last, kept = peaks.position, peaks.height, np.uint64(0), 0
     for index in range(len(runs)):
@@ -145,7 +148,8 @@ def _find_peaks(
         if not BLEND_PIXELS <= table[of]["pixels"] <= most_pixels:
             continue
         for x in range(np.uint64(runs[index, 1]), np.uint64(runs[index, 2])):
-            # written for every pixel, kept for peaks
+            # Every pixel is written and the index advances only at a peak: this costs less than a branch that is
+            # mispredicted.
             position[last, 0], position[last, 1], position[last, 2] = x, y, of
             is_peak = np.uint64(_is_peak(image, x, y))
             last += is_peak
@@ -163,9 +167,9 @@ def _find_peaks(
 def _chain_peaks(
     peaks: _Peaks, order: IntArray, image: Image, level: Plane, noise: Plane, head: IntArray, following: IntArray
 ) -> int:
-    """Chain the peaks of each object that a valley separates from those before; how many objects have more than one.
+    """Chain the peaks of each object that valleys separate from brighter ones; return how many have several.
 
-    `order` takes them object by object, by falling height. An object with a single one gets no chain.
+    `order` lists the peaks object by object, by falling height. An object with one accepted peak gets no chain.
     """
     position, height, parted = peaks.position, peaks.height, 0
     for peak in order:
@@ -198,7 +202,7 @@ def _share_pixels(
     runs: IntArray, number: IntArray, chains: tuple[IntArray, IntArray], position: IntArray, image: Image, level: Plane,
     saturation: float, parts: Sources,
 ) -> None:  # fmt: skip
-    """Add the pixels of objects with a chain of peaks, given by its head and what follows, each to the nearest peak."""
+    """Assign each pixel of the objects with a chain of peaks (heads, and next of each) to its nearest peak."""
     (head, following), (height, width) = chains, image.shape
     for index in range(len(runs)):
         y, first = runs[index, 0], head[number[index]]
@@ -208,7 +212,7 @@ def _share_pixels(
             nearest, best, other = -1, _FAR_PX2, first
             while other >= 0:
                 dx, dy = x - position[other, 0], y - position[other, 1]
-                # equal distances go to the brighter, which comes later in the chain
+                # At equal distances the pixel is assigned to the brighter peak, which is later in the chain.
                 if dx * dx + dy * dy <= best:
                     nearest, best = other, dx * dx + dy * dy
                 other = following[other]

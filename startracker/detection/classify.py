@@ -1,4 +1,4 @@
-"""What each source of a frame is: a star, or why not. Size, shape, sharpness, and what surrounds it."""
+"""Classification of the sources of a frame as stars or the reason why not: size, shape, sharpness, surroundings."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import IntArray
 from startracker.detection.artefacts import Sharpness, is_sharp, measure_more, sharpest_star
 from startracker.detection.background import Background
@@ -21,7 +22,6 @@ from startracker.detection.spots import Spots
 from startracker.detection.thresholds import LOOKED_AT, LOOKED_AT_MORE, ONE_PIXEL_SHARE, QUIET_QUANTILE
 from startracker.detection.tiles import sample_plane
 from startracker.detection.values import Image
-from startracker.kernels import kernel_part, pixel_kernel
 from startracker.settings import DetectionSettings
 from startracker.sorting import ranked
 
@@ -37,20 +37,21 @@ Masks = NDArray[np.int32]
 
 
 class Rings(NamedTuple):
-    """Pixels of the ring about a candidate of each radius, in a stamp of its own width."""
+    """Pixels of the ring around a candidate, for each radius of a candidate, in flat stamps just large enough."""
 
     positions: IntArray
-    """Indices (ring, n) into the flat stamp, sector by sector."""
+    """Indices (ring, n) into the flat stamp, sorted by sector."""
     ends: IntArray
-    """Where the sectors end (ring, 8)."""
+    """Index (ring, 8) at which each sector ends."""
     masks: Masks
-    """All bits of the ring's pixels in a flat stamp (ring, pixels), none of the others."""
+    """Bit masks (ring, pixels) of the flat stamp: all bits set for pixels of the ring, 0 for the others."""
 
 
 @lru_cache(maxsize=4)
 def rings_of(taps: int) -> Rings:
-    """Rings for a filter of so many `taps`; the first lies outside radius 2 px, every further one a pixel further."""
+    """Rings for a filter of `taps` values; ring k begins outside a radius of k + 2 px and is 8 px wide."""
     j, i = np.mgrid[-_OUTERMOST_PX : _OUTERMOST_PX + 1, -_OUTERMOST_PX : _OUTERMOST_PX + 1].reshape(2, -1)
+    # Octants: two signs, and which coordinate is larger.
     sector = np.where(i > 0, 4, 0) + np.where(j > 0, 2, 0) + np.where(abs(i) > abs(j), 1, 0)
     order = np.argsort(sector, kind="stable")
     i, j, sector = i[order], j[order], sector[order]
@@ -69,18 +70,18 @@ def rings_of(taps: int) -> Rings:
 
 
 class Stamp(NamedTuple):
-    """Working space for the filtered image about a candidate."""
+    """Working space for the filtered image around a candidate."""
 
     rings: Rings
     filtered: FloatImage
     bits: Masks
-    """The same memory as integers."""
+    """The memory of `filtered`, viewed as integers."""
     work: FloatImage
     sample: FloatImage
 
 
 def new_stamp(taps: int) -> Stamp:
-    """Working space for a filter of so many `taps`."""
+    """Working space for a filter of `taps` values."""
     rings = rings_of(taps)
     pixels = rings.masks.shape[1]
     filtered, sample = np.empty(pixels, np.float32), np.empty(rings.positions.shape[1] + 1, np.float32)
@@ -91,20 +92,21 @@ def new_stamp(taps: int) -> Stamp:
 def is_clutter(
     searched: Searched, x: int, y: int, radius_px: float, quiet: float, isolation: float, stamp: Stamp
 ) -> bool:
-    """Whether a candidate, given by its brightest pixel, fails to stand out of the ring around it.
+    """Whether a candidate, given by its brightest pixel, fails to stand out from the ring around it.
 
-    The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors, whose maxima count. One
-    neighbour fills two of them, three with its wings; branches and leaves fill most. The candidate must be `isolation`
-    times as high as the fourth highest where that exceeds `quiet`, both above the ring's median.
+    The ring begins 2 px beyond the candidate's radius, is 8 px wide and has eight sectors; the maximum of each sector
+    is used. One neighbouring star fills two sectors, or three with its wings; branches and leaves fill most of them. So
+    the candidate must be `isolation` times as high as the fourth highest maximum, both measured above the median of the
+    ring, unless that maximum is below `quiet`.
 
-    All this is asked of the image after the filter, see `startracker.detection.scan`.
+    All values are those of the filtered image, see `startracker.detection.scan`.
     """
     half, filtered, rings = searched.half, stamp.filtered, stamp.rings
     ring = min(math.ceil(radius_px), _LARGEST_RADIUS_PX)
     outer = ring + _GAP_PX + _RING_PX
     pitch = 2 * (outer + len(half)) - 1
     filter_stamp(searched.image, searched.level, half, x, y, outer, stamp.work, filtered)
-    # most rings have nothing in them, which needs no sectors
+    # Most rings contain only sky, and then the sectors are not needed.
     if _is_calm(filtered, stamp.bits, rings.masks[ring], (2 * outer + 1) * pitch, quiet):
         return False
     height = np.float64(filtered[outer * pitch + outer])
@@ -115,8 +117,9 @@ def is_clutter(
 def _is_calm(stamp: FloatImage, bits: Masks, mask: Masks, count: int, quiet: float) -> bool:
     """Whether the median of a ring exceeds its highest value less `quiet`, and all its values are finite.
 
-    Seen at once for all of a stamp, of which `mask` keeps the bits of the ring's pixels. The bits of numbers that are
-    not negative are in the order of the numbers, so that the highest is found among integers.
+    The whole stamp is scanned without branches; `mask` selects the bits of the ring's pixels. The bit patterns of
+    non-negative floats, read as integers, have the same order as the floats, so that the maximum is found among
+    integers.
     """
     top, pixels, below = np.int32(0), np.int32(0), np.int32(0)
     for i in range(np.uint64(count)):
@@ -126,18 +129,19 @@ def _is_calm(stamp: FloatImage, bits: Masks, mask: Masks, count: int, quiet: flo
     bits[0] = top  # the corner belongs to no ring
     limit = np.float32(np.float64(stamp[0]) - quiet)
     for i in range(np.uint64(count)):
+        # The mask is −1 for pixels of the ring, so that subtracting it counts them.
         pixels = np.int32(pixels - mask[i])
         below = np.int32(below - (mask[i] if stamp[i] <= limit else np.int32(0)))
     return bool(below <= pixels // 2)
 
 
-@kernel_part
+@kernel
 def _is_exceeded(
     stamp: FloatImage, sample: FloatImage, positions: IntArray, ends: IntArray, height: float, quiet: float,
     isolation: float,
 ) -> bool:  # fmt: skip
-    """Whether a candidate of a `height` fails to stand out of the maxima of its ring's sectors: see `is_clutter`."""
-    # numbers without a sign as indices: one that may be negative costs a comparison each time
+    """Whether a candidate of this height fails to stand out from the maxima of its ring's sectors, see `is_clutter`."""
+    # Unsigned indices, because numba compares signed ones with zero each time.
     n, count, zero = np.uint64(0), np.uint64(0), np.float32(0.0)
     first = second = third = fourth = zero
     for sector in range(8):
@@ -154,7 +158,7 @@ def _is_exceeded(
         second = max(second, min(first, top))
         first = max(first, top)
     taken = np.int64(count)
-    # the median is below a value when more than half of the sample is
+    # The median is below a value if more than half of the sample is, which needs no sorting.
     below, limit = 0, np.float64(fourth) - quiet
     for k in range(taken):
         below += sample[k] < limit
@@ -178,26 +182,26 @@ def select_spots(
     half: NDArray[np.float32] | None = None,
     excess: float = 1.0,
 ) -> Spots:
-    """Candidates out of a table of objects: those that a star can be, the brightest first.
+    """Select the objects of a table that a star can be, brightest first.
 
     Parameters
     ----------
     table : array, shape (N,)
-        Of `startracker.detection.sources`, brightest first (`startracker.detection.forms.brightest_first`).
+        Columns of `startracker.detection.sources`, brightest first (`startracker.detection.forms.brightest_first`).
     settings : DetectionSettings
         Limits.
     saturation_known : bool
-        Where it is not, a flat top at the highest value of all objects is taken for saturation.
+        If False, a flat top at the highest value of all objects counts as saturation.
     image, background
-        What the objects were found in.
+        Where the objects were found.
     half, excess : array and float, optional
-        The matched filter (`startracker.detection.scan`), where one was used, and how far the noise after it exceeds
-        the background's.
+        The matched filter (`startracker.detection.scan`), if one was used, and the ratio of the noise after it to the
+        noise of the background.
 
     Returns
     -------
     Spots
-        With the number of objects left out by reason; those that were not examined (`classify_sources`) count as
+        With the number of rejected objects by reason; objects that were not examined (`classify_sources`) count as
         "fainter than the brightest".
     """
     if not len(table):
@@ -205,7 +209,7 @@ def select_spots(
     searched = Searched(image, background.level_plane, background.noise_plane, UNFILTERED if half is None else half)
     quiet = 0.0
     if settings.isolation > 0.0:
-        # where there are branches, the noise of the tiles is theirs
+        # Among branches the noise of the tiles is their structure; a low quantile of it is still that of the sky.
         noise = sample_plane(background.noise_plane, _QUIET_STEP_PX, _QUIET_STEP_PX)
         quiet = excess * settings.threshold_sigma * quantiles(noise, (QUIET_QUANTILE,))[0]
     criteria = Criteria(
@@ -251,15 +255,15 @@ REASONS = (
     "clutter",
     FAINTER,
 )
-"""The other classes in words, in their order."""
+"""Names of the classes other than stars, in their order."""
 _SHAPE_PIXELS = 3
-"""Pixels from which a source has a shape."""
+"""Least number of pixels of a source whose shape is measured."""
 _MORE = 8
-"""Sources examined at once beyond those that would be enough if four of five are stars."""
+"""Sources examined at once in addition to those that would suffice if four of five were stars."""
 
 
 class Criteria(NamedTuple):
-    """What is asked of the sources."""
+    """Limits that a source must satisfy."""
 
     min_pixels: int
     max_pixels: int
@@ -268,15 +272,15 @@ class Criteria(NamedTuple):
     """Whether to look for cosmic rays and hot pixels (`startracker.detection.artefacts`)."""
     quiet: float
     isolation: float
-    """As of `startracker.detection.classify.is_clutter`; an isolation of 0: no source is clutter."""
+    """Arguments of `is_clutter`; with an isolation of 0 no source is clutter."""
     most: int
-    """Stars after which only the long sources are examined, as their number shows smear."""
+    """Number of stars after which only long sources are still examined, because their number reveals smear."""
 
 
 def classify_sources(table: Sources, saturated: Flags, searched: Searched, criteria: Criteria) -> IntArray:
     """Class (N,) of each source.
 
-    Only the brightest sources, six for each star asked for, are examined, 36 where these are too few stars or all as
+    Only the brightest sources are examined: six for each star wanted, or 36 if these give too few stars or are all as
     sharp as hot pixels.
 
     Parameters
@@ -305,7 +309,7 @@ def _enough_for(stars: int) -> int:
 
 
 class _Marks(NamedTuple):
-    """What is known of sources before they are judged, each (N,)."""
+    """Properties of sources that are known before they are classified, each (N,)."""
 
     may_be_sharp: Flags
     long: Flags
@@ -313,7 +317,7 @@ class _Marks(NamedTuple):
 
 
 class _Examined:
-    """Sources of sufficient size, brightest first."""
+    """Sources of sufficient size, brightest first, while they are classified."""
 
     def __init__(self, table: Sources, saturated: Flags, searched: Searched, criteria: Criteria) -> None:
         self.table, self.searched, self.criteria = table, searched, criteria
@@ -324,12 +328,13 @@ class _Examined:
         judged = criteria.reject_hits & ~(saturated | table["edge"]) & (table["pixels"] >= _SHAPE_PIXELS)
         ahead = _enough_for(criteria.most) if criteria.reject_hits else 0
         self.sharpness = sharpest_star(self.pixels, judged, searched, ahead)
-        # one pixel cut off makes an object look wider, never sharper; several may be a trail of charge, which is narrow
+        # If one pixel is saturated, the clipping makes an object look wider, never sharper. Several saturated pixels
+        # may be a charge trail, which is narrow and would pass for a track.
         may_be_sharp = ~table["edge"] & (~saturated | (table["saturated"] == 1))
         self.marks = _Marks(may_be_sharp & (self.sharpness.limit_px2 > 0.0), long, saturated)
 
     def classify(self) -> IntArray:
-        """Class (N,) of each, until there are as many stars as asked for; then of the long ones only."""
+        """Class (N,) of each source, until there are as many stars as wanted; after that, of the long sources only."""
         kind, most = np.where(is_halo(self.table), _HALO, _UNSEEN), self.criteria.most
         left, stars = (kind == _UNSEEN).nonzero()[0], 0
         while len(left) and stars < most:
@@ -337,6 +342,8 @@ class _Examined:
             found = self._kinds_of(which)
             is_star = (found == STAR).nonzero()[0][: most - stars]
             stars += len(is_star)
+            # The class of a source beyond the last star wanted stays open, so that the result does not depend on the
+            # batches.
             done = len(which) if stars < most else is_star[-1] + 1
             kind[which[:done]] = found[:done]
             left = left[done:]
@@ -346,19 +353,20 @@ class _Examined:
         return kind
 
     def _kinds_of(self, which: IntArray) -> IntArray:
-        """Class of each of some sources that are no halos."""
+        """Class of each source of `which`, none of which is a halo."""
         measure_more(self.sharpness, which[self.marks.may_be_sharp[which]], self.pixels, self.searched)
         kind, limits = np.empty(len(which), np.int64), (self.criteria.quiet, self.criteria.isolation)
         _judge(self.searched, self.table, which, self.sharpness, self.marks, limits, self.stamp, kind)
         return kind
 
 
-@pixel_kernel
+@kernel
 def _judge(
     searched: Searched, table: Sources, which: IntArray, sharpness: Sharpness, marks: _Marks,
     limits: tuple[float, float], stamp: Stamp, kind: IntArray,
 ) -> None:  # fmt: skip
-    """Class of sources that are no halos; `limits` are those of `is_clutter`."""
+    """Classify sources that are not halos; `limits` are the last two thresholds of `is_clutter`, `quiet` and
+    `isolation`."""
     for n in range(len(which)):
         source = which[n]
         x, y, found = table[source]["x_peak"], table[source]["y_peak"], STAR

@@ -30,16 +30,16 @@ def find_components(
 ) -> Spots:
     """Star candidates as 8-connected components above background + `threshold_sigma` × noise.
 
-    With `matched_filter` the components are those of the filtered image (`startracker.detection.matched`) above as
-    many times its own noise; fluxes, peaks and sizes stay those of the image.
+    With `matched_filter` the components are those of the filtered image (`startracker.detection.matched`), above
+    `threshold_sigma` times the noise of that image; fluxes, peaks and sizes are measured in the original image.
 
-    An object of more than `max_pixels` (the wings of a very bright star, stars before a nebula or beside the Moon) is
-    looked at again above thresholds that double, until what is left of it has a star's size; what then stands out of
-    it by less than a factor 2 is structure of something extended, and left out. Objects with several peaks and
-    distinct valleys between them are parted (`startracker.detection.blends`).
+    An object of more than `max_pixels` (the wings of a very bright star, stars in front of a nebula or beside the Moon)
+    is searched again at thresholds that double, until the remaining parts have the size of a star. Parts that then
+    exceed the threshold by less than a factor of 2 are structure of an extended object and are dropped. Objects with
+    several peaks and distinct valleys between them are split (`startracker.detection.blends`).
 
-    Where three of the brightest objects are streaks, or many were parted, the frame may be smeared: it is searched
-    again at half the threshold. If streaks fit one motion of the camera (`startracker.detection.forms`), either all
+    If three of the brightest objects are streaks, or many objects were split, the frame may be smeared: it is searched
+    again at half the threshold. If the streaks fit one motion of the camera (`startracker.detection.forms`), either all
     stars are trailed by it, or the stars are points and the streaks are satellites: see
     `startracker.detection.trailed`.
 
@@ -87,9 +87,9 @@ def find_components(
 def find_trailed(
     image: Image, background: Background, settings: DetectionSettings, saturation_dn: float | None = None
 ) -> Spots | None:
-    """Stars trailed by one motion of the camera, from a search at half the threshold; None where there is no such.
+    """Stars trailed by one motion of the camera, from a search at half the threshold; None without such a motion.
 
-    Parameters are those of `find_components`.
+    The parameters are those of `find_components`.
     """
     pixels, threshold = as_pixels(image), 0.5 * float(settings.threshold_sigma)
     runs, signal, excess = search_filtered(pixels, background, filter_half(settings.psf_sigma_px), threshold)
@@ -109,10 +109,10 @@ def measure_found(
     saturation: float,
     levels: int = OVERSIZED_LEVELS,
 ) -> tuple[Sources, int]:
-    """Table of the components of the runs, measured in the image, oversized ones taken apart; how many were parted.
+    """Measure the components of the runs; returns their table and how many objects were split.
 
-    `signal` is what the runs were found in, above `threshold`; `levels` is the number of thresholds, each twice the one
-    before; with one, nothing is parted.
+    `signal` is the (filtered) signal in which the runs were found, above `threshold`. Oversized objects are searched
+    again at up to `levels` thresholds, each twice the one before; with one level nothing is split.
     """
     level, noise = background.level_plane, background.noise_plane
     tables, parted = [], 0
@@ -125,6 +125,8 @@ def measure_found(
             parted += several
         if depth == 0 and not oversized.any():
             return table, parted
+        # Above the first threshold only parts that stand out clearly are kept: the rest is structure of the object
+        # itself.
         fits = table["pixels"] <= max_pixels
         if depth > 0:
             at_peak = noise[table["y_peak"].astype(np.intp), table["x_peak"].astype(np.intp)]

@@ -1,4 +1,4 @@
-"""Defective pixels from successive frames: what stays in place while the sky moves."""
+"""Map of defective pixels from successive frames: a defect keeps its pixel while the stars move."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from startracker.geometry.camera import Camera
 
 
 def mask_pixels(image: ArrayLike, bad_pixels: ArrayLike | None) -> NDArray[np.float32]:
-    """Image as float32 with NaN at the bad pixels, which every stage leaves out; the image given stays as it is.
+    """The image as float32 with NaN at the bad pixels, which every stage ignores; the argument is not changed.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def mask_pixels(image: ArrayLike, bad_pixels: ArrayLike | None) -> NDArray[np.fl
 
 
 def as_mask(name: str, given: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Argument as a mask of an image of this shape: truth values, or numbers, of which 0 is false.
+    """Convert an argument to a mask of an image of this shape: truth values, or numbers of which 0 is false.
 
     Raises
     ------
@@ -58,19 +58,20 @@ def as_mask(name: str, given: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.b
 
 
 class BadPixelCount:
-    """Counts, frame by frame, the pixels that are off by more than a threshold.
+    """Count, frame by frame, the pixels that deviate from the background by more than a threshold.
 
-    Bright and dark are counted apart, so that a flickering pixel of both signs needs `share` of one.
+    Bright and dark deviations are counted separately, so that a pixel that flickers both ways must reach `share` in one
+    direction.
 
     Parameters
     ----------
     sigma, share, tile_px
-        As of `find_bad_pixels`.
+        See `find_bad_pixels`.
 
     Raises
     ------
     InputError
-        A share or a threshold that cannot be.
+        A share or a threshold out of range.
     """
 
     def __init__(self, sigma: float = 5.0, share: float = BAD_SHARE, tile_px: int = 64) -> None:
@@ -88,7 +89,7 @@ class BadPixelCount:
         frame : array_like, shape (H, W)
             DN; pixels that are not finite count as bad.
         ignore : bool array, shape (H, W), optional
-            Pixels that are not to be judged by this frame, such as those of known stars.
+            Pixels that this frame does not test, such as those of known stars.
 
         Raises
         ------
@@ -105,21 +106,23 @@ class BadPixelCount:
         limit = self.sigma * background.noise
         with np.errstate(invalid="ignore"):
             above, below = pixels > background.level + limit, pixels < background.level - limit
+        # A sum that is finite proves that every pixel is, at a fraction of the cost of testing each.
         if not np.isfinite(pixels.sum(dtype=np.float64)):
             blind = ~np.isfinite(pixels)
             above, below = above | blind, below | blind
         for count, beyond in ((self._bright, above), (self._dark, below)):
+            # Few pixels deviate, so adding at their indices is faster than adding the whole masks.
             count.ravel()[np.flatnonzero(beyond & judged)] += 1
         self._seen += judged
         self.frames += 1
 
     def bad(self, fewest_frames: int = FEWEST_FRAMES) -> NDArray[np.bool_]:
-        """Pixels off in `share` of the frames that judge them, and in two at least; (H, W).
+        """Mask (H, W) of the pixels that deviate in `share` of the frames that test them, and in two at least.
 
         Parameters
         ----------
         fewest_frames : int
-            Frames that must judge a pixel.
+            Least number of frames that must test a pixel.
         """
         bad = np.zeros(self._seen.shape, np.bool_)
         most = np.maximum(self._bright, self._dark).ravel()
@@ -132,22 +135,23 @@ class BadPixelCount:
 def find_bad_pixels(
     frames: Iterable[ArrayLike], sigma: float = 5.0, share: float = BAD_SHARE, tile_px: int = 64
 ) -> NDArray[np.bool_]:
-    """Pixels that are off by more than `sigma` times the noise, the same way, in most frames of different pointing.
+    """Mask of the pixels that deviate by more than `sigma` times the noise, in one direction, in most frames.
 
-    A star crosses a pixel in one frame of several; a hot, dead or stuck pixel stays. Bright and dark are counted
-    apart, so that a flickering pixel of both signs needs `share` of one. By chance a good pixel exceeds 5σ with
-    3e-7 a frame: never three times. The frames should be moved by more than a star image from one another; where
-    fewer than a quarter of them show the same sky, no star is taken for a bad pixel.
+    The frames must have different pointings: a star crosses a pixel in one frame of several, while a hot, dead or stuck
+    pixel stays. Bright and dark deviations are counted separately, so that a pixel that flickers both ways must reach
+    `share` in one direction. A good pixel exceeds 5σ by chance with a probability of 3e-7 per frame, and so never three
+    times. The pointings should differ by more than a star image; if fewer than a quarter of the frames show the same
+    sky, no star is mistaken for a bad pixel.
 
     Parameters
     ----------
     frames : iterable of array_like, shape (H, W)
-        At least three; taken one by one, so that a generator holds but one in memory. Pixels that are not finite in
-        `share` of the frames are bad.
+        At least three. They are read one by one, so that a generator needs memory for one only. Pixels that are not
+        finite in `share` of the frames are bad.
     sigma : float
         Threshold, in units of the local noise.
     share : float
-        Least share of the frames, above 0 and at most 1.
+        Least fraction of the frames, above 0 and at most 1.
     tile_px : int
         As for `estimate`.
 
@@ -158,7 +162,7 @@ def find_bad_pixels(
     Raises
     ------
     InputError
-        Fewer than three frames, frames of different shapes, a share or threshold that cannot be.
+        Fewer than three frames, frames of different shapes, a share or threshold out of range.
     """
     counted = BadPixelCount(sigma, share, tile_px)
     if not isinstance(frames, Iterable):
@@ -210,9 +214,10 @@ class DefectMap:
         """Defective pixels, (H, W)."""
         self._count = BadPixelCount(sigma, share, tile_px)
         x, y = (np.linspace(-0.5, side - 0.5, 2 * _TILES + 1) for side in (camera.width, camera.height))
+        # Corners, centres of the sides and centre of each tile, shared between neighbouring tiles.
         self._points = np.stack(np.meshgrid(x, y), axis=2)
         self._seen = np.zeros((_TILES, _TILES, 3, 3))
-        """Attitude at which each tile was last counted."""
+        """Attitude matrix at which each tile was last counted, (tiles, tiles, 3, 3)."""
         self._never = np.ones((_TILES, _TILES), np.bool_)
 
     @property
@@ -256,13 +261,17 @@ class DefectMap:
             self.mask = self._count.bad(self.frames)
 
     def _motion_px(self, matrix: FloatArray) -> FloatArray:
-        """Least motion of stars in each tile since it was last counted, over its corners, edges and centre; a star that
-        has left the field has moved."""
+        """Least motion of the stars in each tile since it was last counted, px, (tiles, tiles).
+
+        It is taken over the corners, the centres of the sides and the centre of a tile; a star that has left the field
+        counts as moved.
+        """
         moved = np.full((_TILES, _TILES), np.inf)
         for j in range(3):
             for i in range(3):
                 points = self._points[j : j + 2 * _TILES - 1 : 2, i : i + 2 * _TILES - 1 : 2]
                 vectors = self.camera.unproject(points.reshape(-1, 2)).reshape(_TILES, _TILES, 3)
+                # The attitude now times the transpose of the earlier one takes directions of then to directions of now.
                 turned = np.einsum("ij,yxkj,yxk->yxi", matrix, self._seen, vectors)
                 now = self.camera.project(turned.reshape(-1, 3)).reshape(points.shape)
                 shift = np.hypot(*np.moveaxis(now - points, 2, 0))

@@ -1,4 +1,4 @@
-"""Matched filter: the image correlated with the star image, over the image and about single pixels."""
+"""Matched filter: the image correlated with a Gaussian star image, for whole images and for single pixels."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.detection.background import Background
 from startracker.detection.scan import kernel_half, runs_above, search_rows
 from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_integer, is_value
 from startracker.errors import InputError
-from startracker.kernels import kernel_part, pixel_kernel
 from startracker.sorting import ranked
 
 FloatImage = NDArray[np.float32]
 
 
 def stamp_pitch(half: FloatImage, radius: int) -> int:
-    """Numbers from one row of a stamp to the next."""
+    """Number of values from one row of a stamp to the next."""
     return 2 * (radius + len(half)) - 1
 
 
-@kernel_part
+@kernel
 def filter_stamp(
     image: Image, level: Plane, half: FloatImage, x0: int, y0: int, radius: int, work: FloatImage, out: FloatImage
 ) -> None:
-    """Filtered signal around a pixel, row by row; not a number where the image is not.
+    """Filtered signal around a pixel, row by row; NaN where the image has no value.
 
     Parameters
     ----------
@@ -43,6 +43,7 @@ def filter_stamp(
     side, pitch = 2 * radius + 1, 2 * (radius + len(half)) - 1
     left, top = x0 - radius - reach, y0 - radius - reach
     first, last, square = max(left, 0), min(left + pitch, width), pitch * pitch
+    # Only a stamp that extends beyond the image needs zeros: every other value is overwritten.
     if left < 0 or left + pitch > width or top < 0 or top + pitch > height:
         for i in range(square):
             work[i] = 0.0
@@ -53,8 +54,9 @@ def filter_stamp(
         for x in range(np.uint64(first), np.uint64(last)):
             signal = np.float32(image[row, x]) - (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
             work[to + x] = signal if is_value(image[row, x]) else np.float32(0.0)
-    _correlate(work, 0, half, pitch, work, square, side * pitch)
-    _correlate(work, square, half, 1, out, 0, side * pitch - 2 * reach)
+    start, step = np.int64(0), np.int64(1)
+    _correlate(work, start, half, pitch, work, square, side * pitch)
+    _correlate(work, square, half, step, out, start, side * pitch - 2 * reach)
     inside = x0 >= radius and y0 >= radius and x0 + radius < width and y0 + radius < height
     if not (is_integer(image) and inside):
         for j in range(side):
@@ -64,12 +66,13 @@ def filter_stamp(
                     out[j * pitch + i] = np.nan
 
 
-@pixel_kernel
+@kernel
 def _correlate(
     values: FloatImage, start: int, half: FloatImage, step: int, out: FloatImage, to: int, count: int
 ) -> None:
-    """Sums of 2 reach + 1 numbers that are `step` apart, the first of them at the position of the sum."""
+    """Sums of 2 reach + 1 values that are `step` apart, each stored at the index of its first value."""
     reach, weight = len(half) - 1, half[0]
+    # Two weights are applied per pass, so that the array is read and written half as often.
     for k in range(1, reach, 2):
         near, far = half[k], half[k + 1]
         inner, outer, middle = np.uint64(k * step), np.uint64((k + 1) * step), np.uint64(start + reach * step)
@@ -82,7 +85,7 @@ def _correlate(
 
 @kernel_part
 def filtered_pixel(image: Image, level: Plane, half: FloatImage, x0: int, y0: int) -> tuple[float, float]:
-    """Filtered signal of a single pixel, and its own; the first is NaN where the image is not finite."""
+    """Filtered signal of a single pixel, and its own signal, DN; the first is NaN if the pixel is not finite."""
     height, width = image.shape
     reach, total = len(half) - 1, np.float32(0.0)
     for y in range(max(y0 - reach, 0), min(y0 + reach + 1, height)):
@@ -96,17 +99,18 @@ def filtered_pixel(image: Image, level: Plane, half: FloatImage, x0: int, y0: in
 
 
 DEFAULT_SIGMA_PX = 0.8
-"""Width where none is given. For stars of σ the filter keeps 2 r / (1 + r²) of the best signal-to-noise ratio, with r
-the ratio of the widths, the pixel included: more than 0.9 from 0.4 to 1.3 px."""
+"""Width, px, if none is given. For stars of width σ the filter keeps 2 r / (1 + r²) of the best signal-to-noise ratio,
+where r is the ratio of the widths including the pixel: more than 0.9 from 0.4 to 1.3 px."""
 _REACH = 2.5
 _LARGEST_SIGMA_PX = 20.0
 _SAMPLES = 8192
 _SIGMA_QUANTILES = (0.5, 0.841345, 0.933193)
-"""Of a normal distribution, 0, 1 and 1½ standard deviations above the mean."""
+"""Quantiles of a Gaussian at 0, 1 and 1½ standard deviations above the mean."""
 
 
 def matched_kernel(sigma_px: float) -> NDArray[np.float64]:
-    """One axis of the filter: a Gaussian integrated over pixels, Σ k² = 1, so that white noise keeps its size."""
+    """One axis of the filter: a Gaussian integrated over pixels, with Σ k² = 1 so that white noise keeps its
+    variance."""
     reach = max(1, math.ceil(_REACH * sigma_px - 0.5))
     edges = (np.arange(-reach, reach + 2) - 0.5) / (math.sqrt(2.0) * sigma_px)
     kernel = np.diff([math.erf(edge) for edge in edges])
@@ -115,7 +119,7 @@ def matched_kernel(sigma_px: float) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=16)
 def filter_half(sigma_px: float | None) -> FloatImage:
-    """The filter as `startracker.detection.scan` takes it; of a width of None: 0.8 px.
+    """The filter in the form that `startracker.detection.scan` uses; a width of None stands for 0.8 px.
 
     Raises
     ------
@@ -131,14 +135,14 @@ def filter_half(sigma_px: float | None) -> FloatImage:
 def search_filtered(
     image: Image, background: Background, half: FloatImage, threshold: float
 ) -> tuple[NDArray[np.int64], FloatImage, float]:
-    """Where the image correlated with a Gaussian star image is above threshold × its own noise.
+    """Find the pixels at which the image, correlated with a Gaussian star image, exceeds `threshold` × its noise.
 
-    A star of flux F whose pixels have the shares p (Σ p = 1) stands F Σ p k above the background there, F √(Σ p²)
-    for the right width, where its brightest pixel alone has F max p: 1.5 times as much for σ = 0.8 px on a pixel's
-    centre, 1.8 times on a corner (Turin 1960). White noise keeps its standard deviation. That of a photograph is
-    correlated (interpolated colours, compression): the last value is by how much the noise of the filtered image
-    exceeds the background's, from quantiles of some thousand pixels, at least 1. Two are taken, as noise cut off at
-    zero has a longer tail than the normal distribution.
+    A star of flux F whose pixels have the shares p (Σ p = 1) stands F Σ p k above the background in the filtered image,
+    or F √(Σ p²) if the width is right; its brightest pixel alone has F max p. For σ = 0.8 px the gain is 1.5 on the
+    centre of a pixel and 1.8 on a corner (Turin 1960). White noise keeps its standard deviation. The noise of a
+    photograph is correlated (interpolated colours, compression): `excess` is the ratio of the noise of the filtered
+    image to the background's noise, at least 1, from quantiles of some thousand pixels. Two quantiles are used, because
+    noise that is cut off at zero has a longer tail than a Gaussian.
 
     Parameters
     ----------
@@ -166,7 +170,8 @@ def search_filtered(
     excess = 1.0
     if len(sample):
         middle, one, more = quantiles(sample, _SIGMA_QUANTILES)
-        # stars that fill a small image are no noise: none is more correlated than one that is the same in every pixel
+        # Noise cannot be more correlated than if it is the same in every pixel, when the filter raises it by Σ k. Any
+        # more than that comes from stars, which fill much of a small image.
         largest = float(half[0] + 2.0 * half[1:].sum()) ** 2
         excess = min(max(1.0, one - middle, (more - middle) / 1.5), largest)
     runs, signal = runs_above(groups, found, image, noise, excess * threshold)

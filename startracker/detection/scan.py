@@ -1,10 +1,11 @@
-"""Kernels that filter an image and search it in one pass, without a filtered image ever being stored.
+"""Kernels that filter and search an image in one pass, without storing the filtered image.
 
-The filter is separable and symmetric; `half` is its middle and upper half. A row is filtered along x as it comes and
-waits in a ring until the rows that its column needs are there: everything happens in the processor's nearest cache.
+The filter is separable and symmetric; `half` is its middle and upper half. Each row is filtered along x when it is
+read, and is held in a ring buffer until the rows that its columns need are there, so that all work stays in the
+processor's nearest cache.
 
-All rows are parts of one array, identified by their first index: numba counts a slice of an array in and out of use,
-which takes as long as a hundred pixels. Indices have no sign, as one that may be negative is compared with zero first.
+All rows are parts of one array and are given by the index of their first value, because numba counts references to
+slices, which takes as long as a hundred pixels. Indices are unsigned, because a signed one is first compared with zero.
 """
 
 from __future__ import annotations
@@ -14,19 +15,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import IntArray
 from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel_part, pixel_kernel
 
 _LINE = 16
-"""Numbers in a line of the cache; a vector that lies across two of them takes twice as long to load."""
+"""Numbers of float32 in a line of the cache; a vector load across two lines takes twice as long."""
 _PADDING = 17 * _LINE
-"""Between the rows of a ring, so that they do not all fall on the same lines of the cache."""
+"""Padding between the rows of the ring buffer, so that they do not all map to the same lines of the cache."""
 _WORD = 8
-"""Pixels whose marks are one number, and such numbers that are looked at together."""
+"""Pixels whose marks are read as one 64-bit number, and number of such words that are tested together."""
 _WORKING_ROWS = 4
-"""Rows beside the ring: the two filtered ones, the limits, the one that comes in."""
+"""Rows in addition to the ring buffer: two filtered ones, the limits, and the row being read."""
 
 FloatImage = NDArray[np.float32]
 
@@ -34,13 +35,14 @@ Places = NDArray[np.uint64]
 
 
 def kernel_half(kernel: NDArray[np.float64]) -> FloatImage:
-    """Middle and upper half of a symmetric kernel, with zeros to an even number, at least two, after the middle."""
+    """Middle and upper half of a symmetric kernel, padded with zeros to an even number, at least two, after the
+    middle."""
     half = kernel[len(kernel) // 2 :].astype(np.float32)
     return np.append(half, np.zeros(max(2 - (len(half) - 1), (len(half) - 1) % 2), np.float32))
 
 
 UNFILTERED = kernel_half(np.ones(1))
-"""The filter that changes nothing."""
+"""Filter that leaves the image unchanged."""
 
 
 @kernel_part
@@ -68,15 +70,15 @@ def _filter_row(work: FloatImage, row: np.uint64, half: FloatImage, out: np.uint
         before, weight = out, np.float32(1.0)
 
 
-@kernel_part
+@kernel
 def _filter_columns(
     work: FloatImage, rows: Places, half: FloatImage, out: Places, least: np.uint64, marks: NDArray[np.uint8],
     width: int,
 ) -> None:  # fmt: skip
-    """Correlation along y of rows that begin at the indices given, about the two in the middle, and marks of both, one
-    row behind the other, where it exceeds the limits.
+    """Correlation along y of two adjacent rows, and marks of the pixels that exceed the limits.
 
-    Two rows at a time, as they share four of the five that a narrow filter reads.
+    `rows` holds the indices at which the rows of the ring buffer begin; the results are those about the two middle
+    ones. Two rows are computed at a time, because they share four of the five rows that a narrow filter reads.
     """
     middle = len(half) - 1
     first, second, wide = out[0], out[1], np.uint64(len(marks) // 2)
@@ -106,8 +108,10 @@ def _filter_columns(
 
 @kernel_part
 def _lower_limits(work: FloatImage, noise: Plane, y: int, threshold: float, out: np.uint64) -> None:
-    """Lower the limits to at most threshold × noise of each column, in all rows between the lines about a row, or in it
-    alone beyond."""
+    """Lower each column's limit to at most threshold × noise.
+
+    It is valid for all rows between the two lines of the noise map around row y; beyond the outermost line, for y only.
+    """
     share, lines, cell = noise.share[y], noise.lines, np.uint64(noise.cell[y])
     below = min(cell + np.uint64(1), np.uint64(len(lines) - 1))
     less = np.float32(1.0 - 1e-6)  # for the rounding of the interpolation
@@ -122,21 +126,23 @@ def _sample_row(
     work: FloatImage, total: np.uint64, noise: Plane, image: Image, y: int, columns: tuple[int, int],
     sample: FloatImage, count: int,
 ) -> int:  # fmt: skip
-    """Add the filtered signal over the noise of every `columns[1]`-th pixel of a row from `columns[0]` on; how many are
-    in the sample."""
+    """Append filtered signal / noise of every `columns[1]`-th pixel of a row, from `columns[0]` on, to the sample.
+
+    Returns the length of the sample.
+    """
     share, lines, row = noise.share[y], noise.lines, np.uint64(y)
     cell = np.uint64(noise.cell[y])
     below, index = min(cell + np.uint64(1), np.uint64(len(lines) - 1)), np.uint64(count)
     for x in range(np.uint64(columns[0]), np.uint64(image.shape[1]), np.uint64(columns[1])):
         sample[index] = work[total + x] / (lines[cell, x] + share * (lines[below, x] - lines[cell, x]))
         index += np.uint64(is_value(image[row, x]))
-    return int(np.int64(index))  # a signed number, as callers count with
+    return int(np.int64(index))  # signed, for the arithmetic of the callers
 
 
 def search_rows(
     image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int
 ) -> tuple[Places, FloatImage, FloatImage]:
-    """Groups of pixels of which some may be above threshold × noise, for `runs_above`, and a sample of the noise.
+    """Groups of pixels of which some may exceed threshold × noise, for `runs_above`, and a sample of the noise.
 
     Parameters
     ----------
@@ -165,6 +171,7 @@ def search_rows(
     rows = 2 * reach + 2 + _WORKING_ROWS
     pitch = (width + 2 * reach + _LINE - 1) // _LINE * _LINE + _PADDING
     work = np.zeros(rows * pitch + _LINE, np.float32)
+    # Rows start at a multiple of the cache line in memory.
     first = (-work.__array_interface__["data"][0] // work.itemsize) % _LINE
     starts = np.arange(first, first + rows * pitch, pitch, dtype=np.uint64)
     marks = np.zeros(2 * ((width + 63) // 64 * 64), np.uint8)
@@ -183,11 +190,11 @@ class _Space(NamedTuple):
 
     work: FloatImage
     starts: Places
-    """Where its rows begin."""
+    """Indices at which the rows of `work` begin."""
     marks: NDArray[np.uint8]
-    """Of two rows."""
+    """Marks of two rows."""
     words: Places
-    """The same by eight."""
+    """The memory of `marks`, viewed as 64-bit words."""
 
 
 class _Found(NamedTuple):
@@ -198,12 +205,12 @@ class _Found(NamedTuple):
     sample: FloatImage
 
 
-@pixel_kernel
+@kernel
 def _search(
     image: Image, level: Plane, noise: Plane, half: FloatImage, threshold: float, stride: int, space: _Space,
     out: _Found,
 ) -> tuple[int, int]:  # fmt: skip
-    """Fills the arrays of `search_rows`, and how much of them."""
+    """Fill the arrays of `search_rows`; returns the number of groups and of samples."""
     (work, starts, marks, words), (groups, found, sample) = space, out
     height, width = image.shape
     reach = len(half) - 1
@@ -215,6 +222,7 @@ def _search(
         for k in range(size - 2):
             rows[k] = rows[k + 2]
         rows[size - 2], rows[size - 1] = oldest, next_oldest
+        # Two rows enter the ring buffer at a time; rows below the image are zeros, as the background is.
         for row in range(y, y + 2):
             newest = rows[size - 2 + row - y]
             if row < height:
@@ -223,16 +231,18 @@ def _search(
             else:
                 for x in range(np.uint64(width)):
                     work[newest + x] = 0.0
-        # rows are looked at when the next come, as what was just written is not yet there to read
+        # Rows are searched one step later, because reading values that were just written stalls the processor.
         for row in range(max(y - reach - 2, 0), min(y - reach, height)):
             total, first = totals[row & 1], np.uint64((row & 1) * len(words) // 2)
             count = _collect_marked(words, first, work, total, row, groups, found, count)
             samples = _sample_row(work, total, noise, image, row, (index, stride), sample, samples)
+            # Continue the sampling stride across rows, as if the image were one line.
             index += (width - index + stride - 1) // stride * stride - width if index < width else -width
         centre = y - reach
         if not 0 <= centre < height:
             continue
-        # first what is above the lower of the two lines' limits, which takes little time, then what is above its own
+        # The lower limit of the two lines of the noise map is used here, which costs little; `runs_above` applies the
+        # actual one.
         for row in range(centre, min(centre + 2, height)):
             between = 0.0 <= noise.share[row] <= 1.0
             if noise.cell[row] != cell or not between:
@@ -244,12 +254,12 @@ def _search(
     return count, samples
 
 
-@kernel_part
+@kernel
 def _collect_marked(
     words: Places, first: np.uint64, work: FloatImage, total: np.uint64, row: int, groups: Places, found: FloatImage,
     count: int,
 ) -> int:  # fmt: skip
-    """Copy the groups of a row in which a pixel is marked; nearly every block of 64 pixels is sky."""
+    """Copy the groups of a row in which a pixel is marked; blocks of 64 pixels without a mark are skipped at once."""
     size = np.uint64(_WORD)
     for block in range(first, first + np.uint64(len(words)) // np.uint64(2), size):
         seen = np.uint64(0)
@@ -292,14 +302,15 @@ def runs_above(
     return runs[: 3 * count].copy().reshape(-1, 3), signal[:values].copy()
 
 
-@pixel_kernel
+@kernel
 def _cut_groups(
     groups: Places, found: FloatImage, image: Image, noise: Plane, threshold: float, runs: IntArray, signal: FloatImage
 ) -> tuple[int, int]:
-    """Fills `runs`, flat, and `signal` of `runs_above`, and how many these are."""
+    """Fill `runs` (flat) and `signal` of `runs_above`; returns the numbers of runs and of values."""
     size, width, one = np.uint64(found.shape[1]), np.uint64(image.shape[1]), np.uint64(1)
     three = np.uint64(3)
-    # row, first column, last column + 1 of each run in turn: written at every pixel, kept where one begins or ends
+    # Row, first column and last column + 1 of each run are written at every pixel; the index advances only where a run
+    # begins or ends, which avoids branches.
     edges, values, row = np.uint64(0), np.uint64(0), np.uint64(0)
     stop, lines = np.uint64(0), noise.lines
     inside = False

@@ -1,4 +1,4 @@
-"""Unequal sensitivities of the pixels: a map of them from evenly lit frames, and images corrected with it."""
+"""Sensitivity of the pixels (flat field): a map from evenly lit frames, and the correction of images with it."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ FloatImage = NDArray[np.float32]
 
 
 def sensitivity_map(even: ArrayLike, dark: ArrayLike | float = 0.0) -> FloatImage:
-    """Relative sensitivity (H, W) of each pixel, 1 on the mean, from evenly lit frames.
+    """Relative sensitivity (H, W) of each pixel, with a mean of 1, from evenly lit frames.
 
     Parameters
     ----------
     even : array, shape (N, H, W) or (H, W)
-        Frames of an even light, DN; their mean is taken.
+        Evenly lit frames, DN; their mean is used.
     dark : array, shape (N, H, W) or (H, W), or float
-        Frames without light of the same exposure, or the level of such, DN.
+        Frames without light of the same exposure time, or their level, DN.
 
     Raises
     ------
     InputError
-        When the light is not above the dark level on the mean.
+        If the mean of the evenly lit frames does not exceed the dark level.
 
     Notes
     -----
@@ -37,16 +37,16 @@ def sensitivity_map(even: ArrayLike, dark: ArrayLike | float = 0.0) -> FloatImag
 
 
 def correct_sensitivity(image: ArrayLike, sensitivity: ArrayLike, dark: ArrayLike | float = 0.0) -> FloatImage:
-    """An image (H, W) as pixels of equal sensitivity would have it: what is above the dark level over the sensitivity.
+    """Image (H, W) corrected to equal sensitivity of all pixels: the signal above the dark level over the sensitivity.
 
     Parameters
     ----------
     image : array, shape (H, W)
         DN.
     sensitivity : array, shape (H, W)
-        As `sensitivity_map` gives; pixels where it is not positive become NaN, which every detector leaves out.
+        From `sensitivity_map`; pixels where it is not positive become NaN, which every detector ignores.
     dark : array, shape (H, W), or float
-        Level without light, DN; it stays in the image.
+        Level without light, DN; it is not subtracted from the result.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Shapes of candidates: moments of their pixels under a weight that follows them."""
+"""Shapes of candidates: moments of their pixels under a Gaussian weight that is centred on them iteratively."""
 
 from __future__ import annotations
 
@@ -7,42 +7,44 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
 from startracker.detection.tiles import Plane
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel_part, pixel_kernel
 
 SHAPE_COLUMNS = 5
-"""Columns of `measure_shapes`: variance along the minor and the major axis, their standard error, share of the
-brightest pixel, signal-to-noise ratio."""
+"""Number of columns of `measure_shapes`: variance along the minor and the major axis, px², the standard error of the
+former, share of the brightest pixel, signal-to-noise ratio."""
 MINOR, MAJOR, MINOR_ERROR, PEAK_SHARE, SHAPE_SNR = range(SHAPE_COLUMNS)
 _RECENTRINGS = 3
 
 
 class Weight(NamedTuple):
-    """Gaussian weight of a shape, with working space."""
+    """Gaussian weight under which shapes are measured, with working space."""
 
     variance: float
     centred: FloatArray
     """exp(−k² / 2 variance) for k = 0 … n."""
     space: FloatArray
-    """(2 W + 2, W), W = 2 n + 1: signal of the window's pixels, whether they are usable, weights along x and y."""
+    """Working space (2 W + 2, W), W = 2 n + 1: signal of the window's pixels, whether they are usable, weights along x
+    and y."""
 
 
 def measure_shapes(
     image: Image, level: Plane, noise: Plane, xs: IntArray, ys: IntArray, weight_sigma: float
 ) -> FloatArray:
-    """Shapes (N, 5) of candidates, `SHAPE_COLUMNS`, by moments under a Gaussian weight that follows their centre.
+    """Shapes (N, 5) of candidates, `SHAPE_COLUMNS`, from moments under a Gaussian weight centred on each of them.
 
-    A Gaussian of variance C seen under a weight of variance W has C W / (C + W) (Kaiser, Squires & Broadhurst 1995);
-    this is undone, so that the variances are those of the star image, the pixel's 1/12 included; infinite for what is
-    as wide as the weight. NaN where the window holds no signal. The standard error is that of the background's noise.
+    A Gaussian of variance C measured under a weight of variance W has a variance of C W / (C + W) (Kaiser, Squires &
+    Broadhurst 1995). This is inverted, so that the variances are those of the star image, including the pixel's 1/12
+    px²; they are infinite for an image as wide as the weight, and NaN where the window has no signal. The standard
+    error is due to the noise of the background.
     """
     return shapes_at(image, level, noise, np.column_stack([xs, ys]), weight_sigma)
 
 
 def shapes_at(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight_sigma: float) -> FloatArray:
-    """The same for candidates at pixels x, y (N, 2)."""
+    """`measure_shapes` for candidates at pixels (N, 2), x and y."""
     half, variance = max(2, math.ceil(2.0 * weight_sigma)), weight_sigma**2
     out = np.full((len(pixels), SHAPE_COLUMNS), np.nan)
     centred = np.array([math.exp(-0.5 * k * k / variance) for k in range(half + 1)])
@@ -53,7 +55,11 @@ def shapes_at(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight
 
 @kernel_part
 def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: FloatArray) -> None:
-    """exp(−(k − shift)² / 2 variance) for k = −n … n, from its values for no shift: (k − d)² = k² − 2 k d + d²."""
+    """exp(−(k − shift)² / 2 variance) for k = −n … n, from its values without a shift.
+
+    By (k − d)² = k² − 2 k d + d² the shift is a factor that grows geometrically with k, which needs only two
+    exponentials.
+    """
     half = len(centred) - 1
     out[half] = math.exp(-0.5 * shift * shift / variance)
     ratio = math.exp(shift / variance)
@@ -64,11 +70,11 @@ def _shifted_gaussian(centred: FloatArray, shift: float, variance: float, out: F
         out[half + k], out[half - k] = up * centred[k], down * centred[k]
 
 
-@kernel_part
+@kernel
 def _read_window(
     image: Image, level: Plane, x0: int, y0: int, window: FloatArray, use: FloatArray
 ) -> tuple[float, float]:
-    """Signal about a pixel, and which pixels are of use; the sum and the highest of the nine in the middle."""
+    """Read the signal around a pixel and mark usable pixels; returns sum and maximum of the central 3 × 3 pixels."""
     height, width = image.shape
     half = len(window) // 2
     plain = highest = 0.0
@@ -85,7 +91,7 @@ def _read_window(
     return plain, highest
 
 
-@pixel_kernel
+@kernel
 def _measure(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight: Weight, shapes: FloatArray) -> None:
     """Shapes (N, 5) of candidates at pixels x, y (N, 2): see `measure_shapes`."""
     w, centred = weight.variance, weight.centred
@@ -119,14 +125,16 @@ def _measure(image: Image, level: Plane, noise: Plane, pixels: IntArray, weight:
             if not total > 0.0:
                 break
             mx, my = sx / total, sy / total
-            # under the weight a shift shows at half its size
+            # A star of the width of the weight, displaced by d, has its weighted mean at d/2: hence a step larger than
+            # the mean. The centre may not leave the brightest pixel and its neighbours.
             dx = min(max(dx + 1.5 * (mx - dx), -1.5), 1.5)
             dy = min(max(dy + 1.5 * (my - dy), -1.5), 1.5)
         if not total > 0.0:
             continue
         vx, vy, vxy = sxx / total - mx * mx, syy / total - my * my, sxy / total - mx * my
         middle, apart = 0.5 * (vx + vy), math.hypot(0.5 * (vx - vy), vxy)
-        # noise of a second moment: Σ g² (k² − v)² σ² / S², by the integral over a Gaussian weight
+        # Noise of a second moment, Σ g² (k² − v)² σ² / S², with the sum replaced by the integral over a Gaussian
+        # weight.
         sigma, spread = np.float64(noise[pixels[n, 1], pixels[n, 0]]), w * w / 2.0 * 1.5 - w * middle + middle * middle
         error = sigma / total * math.sqrt(max(math.pi * w * spread, 0.0))
         minor, major, widest = max(middle - apart, 0.0), middle + apart, 0.95 * w

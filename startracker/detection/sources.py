@@ -1,4 +1,4 @@
-"""The table of sources: what stands above the threshold, a row each, with the sums over its pixels."""
+"""Table of sources: one row for each object above the threshold, with the sums over its pixels."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import IntArray
 from startracker.detection.thresholds import FLAT_TOP_PIXELS
 from startracker.detection.tiles import Plane
 from startracker.detection.values import Image
-from startracker.kernels import kernel, kernel_part
 
 FloatImage = NDArray[np.float32]
 
@@ -19,12 +19,12 @@ FloatImage = NDArray[np.float32]
 def find_runs(image: Image, level: FloatImage, noise: FloatImage, threshold: np.float32) -> IntArray:
     """Runs (row, first column, last column + 1), shape (R, 3), of pixels above level + threshold × noise.
 
-    In reading order. Pixels that are not finite are not above.
+    They are in reading order. Pixels that are not finite are not above.
     """
     height, width = image.shape
-    above = np.zeros((height, width + 2), np.bool_)  # a pixel below on either side of each row
+    above = np.zeros((height, width + 2), np.bool_)  # one column of False on either side
     above[:, 1:-1] = (image > level + threshold * noise) & (image < np.inf)
-    edges = np.flatnonzero(above.ravel()[1:] != above.ravel()[:-1]).reshape(-1, 2)
+    edges = np.flatnonzero(above.ravel()[1:] != above.ravel()[:-1]).reshape(-1, 2)  # rises and falls alternate
     row = edges[:, 0] // (width + 2)
     return np.column_stack([row, edges - row[:, None] * (width + 2)])
 
@@ -33,7 +33,7 @@ def find_runs(image: Image, level: FloatImage, noise: FloatImage, threshold: np.
 def cut_runs(
     runs: IntArray, signal: FloatImage, keep: NDArray[np.bool_], noise: Plane, threshold: np.float32
 ) -> tuple[IntArray, FloatImage]:
-    """What of the kept runs is above a higher threshold × noise, as runs in reading order, and its signal.
+    """Pixels of the `keep` runs above a higher threshold × noise, as runs in reading order, and their signal.
 
     `signal` holds the values of the runs' pixels, one run after the other.
     """
@@ -58,9 +58,10 @@ def cut_runs(
 
 
 def join_runs(runs: IntArray) -> tuple[IntArray, int]:
-    """Object number of each run, and the number of objects: runs of neighbouring rows that touch, corners included.
+    """Merge runs of neighbouring rows that touch, corners included, into objects.
 
-    Union–find over runs in reading order, numbered by first appearance (He, Chao & Suzuki 2008).
+    Returns the object number (R,) of each run and the number of objects. Union–find over runs in reading order,
+    numbered by first appearance (He, Chao & Suzuki 2008).
     """
     number = np.empty(len(runs), np.int64)
     return number, _join(runs, np.arange(len(runs)), number)
@@ -77,9 +78,10 @@ def _join(runs: IntArray, parent: IntArray, number: IntArray) -> int:
         while other < here and runs[other, 1] <= runs[index, 2]:
             if runs[other, 2] >= runs[index, 1]:
                 a, b = _root(parent, index), _root(parent, other)
+                # The smaller index becomes the root, so that roots come first in reading order.
                 parent[max(a, b)] = min(a, b)
             other += 1
-        # runs of the row above that end left of this one cannot touch a later one
+        # Runs of the row above that end to the left of this one cannot touch a later one.
         while above < here and runs[above, 2] < runs[index, 1]:
             above += 1
     count = 0
@@ -96,7 +98,7 @@ def _join(runs: IntArray, parent: IntArray, number: IntArray) -> int:
 @kernel_part
 def _root(parent: IntArray, index: int) -> int:
     while parent[index] != index:
-        parent[index] = parent[parent[index]]
+        parent[index] = parent[parent[index]]  # halves the path, so that later searches are short
         index = parent[index]
     return index
 
@@ -104,7 +106,7 @@ def _root(parent: IntArray, index: int) -> int:
 def measure_objects(
     runs: IntArray, number: IntArray, count: int, image: Image, level: Plane, saturation: float
 ) -> Sources:
-    """Table of `count` objects given by numbered runs."""
+    """Table of `count` objects given by runs and the object number of each run."""
     table = np.zeros(count, SOURCE)
     _add_runs(runs, number, image, level, np.float32(saturation), table)
     return table
@@ -141,8 +143,11 @@ SOURCE = np.dtype(
     ],
     align=True,
 )
-"""Columns of a table of sources. A structured array keeps a source's row together, so that a kernel takes one argument,
-and rows are sorted, selected and joined as one."""
+"""Columns of a table of sources.
+
+A structured array keeps the row of a source together, so that a kernel takes one argument, and rows are sorted,
+selected and joined as a whole.
+"""
 Sources: TypeAlias = NDArray[np.void]
 """Table of `SOURCE` rows, shape (N,)."""
 
@@ -151,12 +156,15 @@ _ROW = np.dtype((np.void, SOURCE.itemsize))
 
 
 def join_tables(*tables: Sources) -> Sources:
-    """Rows of several tables; NumPy copies structured rows column by column, which takes twenty times as long."""
+    """Concatenate tables.
+
+    NumPy copies structured rows column by column, which takes twenty times as long as copying them as raw bytes.
+    """
     return np.concatenate([table.view(_ROW) for table in tables]).view(SOURCE)
 
 
 class Searched(NamedTuple):
-    """What sources were found in."""
+    """The image in which sources were found, its background, and the filter."""
 
     image: Image
     level: Plane
@@ -166,9 +174,12 @@ class Searched(NamedTuple):
 
 
 def is_saturated(table: Sources, saturation_known: bool) -> NDArray[np.bool_]:
-    """Sources with a saturated pixel; the level not known: those of the highest value, if one has a flat top."""
+    """Mask of the sources with a saturated pixel; if the level is unknown, of those at the highest value with a flat
+    top."""
     if saturation_known or not len(table):
         return np.asarray(table["saturated"] > 0)
+    # Saturation clips all bright stars at one value, and clips several pixels of the brightest: this distinguishes it
+    # from the peak of a star, which no other pixel shares.
     highest = table["peak"] == table["peak"].max()
     flat = highest & bool(np.any(highest & (table["at_peak"] >= FLAT_TOP_PIXELS)))
     return np.asarray(flat)
@@ -176,7 +187,8 @@ def is_saturated(table: Sources, saturation_known: bool) -> NDArray[np.bool_]:
 
 @kernel
 def add_pixel(row: np.void, x: int, y: int, value: float, level: float, saturation: float) -> None:
-    """Add a pixel to an object's row of the table; of equal peaks the first in reading order stays."""
+    """Add a pixel to an object's row of the table; of pixels with equal peaks the first in reading order is the
+    peak."""
     signal = np.float64(value) - np.float64(level)
     if row["pixels"] == 0:
         row["peak"] = -np.inf

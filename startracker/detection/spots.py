@@ -1,4 +1,4 @@
-"""Star candidates: what detectors hand on."""
+"""Star candidates, the result of every detector."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ class Spots:
     x_peak, y_peak : int array
         Brightest pixel; the first in reading order where several are.
     flux : array
-        Sum over the object's pixels above the background, DN.
+        Sum of the signal above the background over the object's pixels, DN.
     pixels : int array
         Number of pixels above the threshold.
     saturated : bool array
-        Whether a pixel reaches the saturation, or the top is flat.
+        Whether a pixel reaches saturation, or the top is flat.
     edge : bool array
         Whether the object touches the border of the image, so that a part may be missing.
     centre : array, shape (N, 2), optional
         Signal-weighted mean (x, y) of the object's pixels: the middle of a streak.
     streak : array, shape (N, 2), optional
-        Length along x and y, pixels, of the line that the frame's motion drew of a star; 0 where there is none.
+        Length along x and y, px, of the trail caused by the motion of the frame; 0 for a point.
     rejected : mapping of str to int
-        How many objects were left out for which reason.
+        Number of objects rejected, by reason.
     other : Spots, optional
-        Where the frame shows streaks of one motion: the candidates under the hypothesis that was not chosen, points
-        where these are streaks, streaks where these are points.
+        If the frame shows streaks of one motion: the candidates under the hypothesis that was not chosen, points if
+        these are streaks, and the reverse.
     direction_rad : float, optional
-        Direction, from x to y, in which neighbouring objects line up far more often than by chance: these may be pieces
-        of long trails.
+        Direction, rad from x to y, along which neighbouring objects are aligned far more often than by chance; they may
+        be fragments of long trails.
     """
 
     x_peak: NDArray[np.int64]
@@ -64,7 +64,7 @@ class Spots:
         return self.streak is not None and bool(self.streak.any())
 
     def take(self, index: NDArray[np.int64]) -> Spots:
-        """Some of the candidates."""
+        """The candidates at these indices."""
         return replace(
             self,
             x_peak=self.x_peak[index],

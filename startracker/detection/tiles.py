@@ -1,4 +1,4 @@
-"""Tiles of the background: their statistics, and maps that are interpolated where a value is asked for."""
+"""Statistics of the background in tiles, and maps interpolated from them on demand."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part, kernel_with
 from startracker.core import FloatArray
 from startracker.detection.values import Image, is_value
-from startracker.kernels import kernel_part, kernel_with, pixel_kernel
 from startracker.sorting import ranked
 
 FloatImage = NDArray[np.float32]
@@ -31,9 +31,9 @@ class Plane(NamedTuple):
     lines : float32 array, shape (L, W)
         Values along lines of the image.
     cell : int array, shape (H,)
-        The line above each row.
+        Index of the line above each row.
     share : float32 array, shape (H,)
-        How far each row is from there to the next line; beyond 0 to 1 the map continues linearly.
+        Position of each row between that line (0) and the next (1); the map is extrapolated linearly outside 0 to 1.
     """
 
     lines: FloatImage
@@ -49,7 +49,7 @@ class Plane(NamedTuple):
 
 
 def as_plane(values: FloatImage) -> Plane:
-    """A map that is given whole."""
+    """A plane with one line for each row of a map (H, W)."""
     return Plane(values, np.arange(len(values)), np.zeros(len(values), np.float32))
 
 
@@ -90,24 +90,24 @@ Tile = tuple[int, int, int, int]
 """First row, last row + 1, first column, last column + 1."""
 _SAMPLES = 400
 _QUANTILES = (0.5, 0.841345)
-"""Median, and one standard deviation above the mean of a normal distribution."""
+"""Quantiles: the median, and one standard deviation above the mean of a Gaussian."""
 _CLIP = 3.0
 _CLIPPINGS = 3
 _ROUNDING = 1.0 / math.sqrt(12.0)
 """Standard deviation of rounding to whole steps."""
 _SHIFT = 5
 _FARTHEST = 2.0**20
-"""Steps from one tile's quantile beyond which the next one's is not looked for."""
+"""Distance, in steps, from the quantile of the previous tile beyond which that of the next is not searched for."""
 _LARGEST_WHOLE = 2.0**31
 _FEW_VALUES = 64
 _CLIPPED_STD = 0.98658
-"""Standard deviation of a unit normal distribution cut at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
+"""Standard deviation of a unit Gaussian truncated at ±3: √(1 − 6 φ(3) / (2 Φ(3) − 1))."""
 
 
 def whole_step(values: NDArray[Any]) -> int:
-    """Greatest common divisor of the differences of whole numbers; 1 where all are the same, 0 where one is not whole.
+    """Greatest common divisor of the differences of integers; 1 if all are equal, 0 if a value is not an integer.
 
-    Values that are not finite are left out; without any other, or beyond 2³¹, the answer is 0.
+    Values that are not finite are ignored; the result is 0 if there are no others, or for values beyond 2³¹.
     """
     if values.dtype.kind == "f":
         values = values[np.isfinite(values)]
@@ -115,7 +115,7 @@ def whole_step(values: NDArray[Any]) -> int:
             return 0
     if not len(values):
         return 0
-    # most images have the step 1, which a few values show
+    # Most images have a step of 1, which a few values reveal.
     for some in (values[:_FEW_VALUES], values):
         step = int(np.gcd.reduce(some.astype(np.int64) - int(values[0])))
         if step == 1:
@@ -123,12 +123,12 @@ def whole_step(values: NDArray[Any]) -> int:
     return max(step, 1)
 
 
-@kernel_part
+@kernel
 def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near: float) -> float:
-    """Value at index k if values[:count] were sorted, looked for on a lattice of width `step` through `near`.
+    """The k-th smallest of values[:count], searched for on a lattice of width `step` through `near`.
 
-    Not a number where no value of the lattice is it. From tile to tile it moves by a step or two, which makes counting
-    what is lower and what is not higher, of many values at once, faster than any sorting.
+    NaN if the value is not on the lattice. From one tile to the next it moves by a step or two, so counting the values
+    below and up to a trial value, which is vectorised, is faster than sorting.
     """
     low, high, trial, stride = -np.inf, np.inf, near, step
     while high - low > 1.5 * step:
@@ -142,9 +142,10 @@ def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near:
             high = trial
         else:
             low = trial
+        # Bisect once the value is enclosed; until then double the stride away from the starting point.
         if abs(high - low) < np.inf:
             trial = low + step * np.rint(0.5 * (high - low) / step)
-            if not low < trial < high:  # too large for its step to be resolved
+            if not low < trial < high:  # float32 does not resolve the step
                 break
         elif stride > step * _FARTHEST:
             break
@@ -156,7 +157,7 @@ def find_kth(values: NDArray[np.float32], count: int, k: int, step: float, near:
 
 @kernel_part
 def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width: float) -> tuple[float, float, int]:
-    """Mean and standard deviation of the values within a half width of a centre, and how many these are."""
+    """Mean and standard deviation of the values within `half_width` of `centre`, and their number."""
     total, squares, n = 0.0, 0.0, 0
     for i in range(np.uint64(count)):
         d = np.float64(values[i]) - centre
@@ -170,18 +171,18 @@ def _clipped(values: NDArray[np.float32], count: int, centre: float, half_width:
 
 @kernel_part
 def _clip(spread: float, step: float) -> float:
-    """Half width of the clipping; it never falls between neighbouring values."""
+    """Half width of the clipping, which is never so narrow that it falls between neighbouring values."""
     return _CLIP * max(spread, step * _ROUNDING) + 0.5 * step
 
 
-@kernel_part
+@kernel
 def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float32]) -> int:
-    """Every so manyth pixel of a tile's rows, and how many are finite; each row begins farther than the one before.
+    """Sample every `stride`-th pixel of each row of a tile; returns the number of finite ones.
 
-    So a bad column does not fill the sample.
+    Each row begins `_SHIFT` pixels later than the one before, so that a bad column cannot fill the sample.
     """
     y0, y1, x0, x1 = tile
-    # numbers without a sign as indices: a signed one may be negative, which costs a comparison each time
+    # Unsigned indices, because numba compares signed ones with zero each time.
     first, stop, pace = np.uint64(x0), np.uint64(x1), np.uint64(stride)
     shift, start, used = np.uint64(_SHIFT % stride), np.uint64(x0 + y0 * _SHIFT % stride), np.uint64(0)
     for y in range(np.uint64(y0), np.uint64(y1)):
@@ -192,14 +193,14 @@ def _take_sample(image: Image, tile: Tile, stride: int, sample: NDArray[np.float
             x += pace
         start += shift
         start -= pace if start >= first + pace else np.uint64(0)
-    return int(np.int64(used))  # a signed number, as callers count with
+    return int(np.int64(used))  # signed, for the arithmetic of the callers
 
 
 def tile_statistics(image: Image, rows: int, columns: int, step: float) -> FloatArray:
-    """Clipped mean and standard deviation (2, rows, columns) of each of the tiles; NaN for one without finite pixels.
+    """Clipped mean and standard deviation (2, rows, columns) of the pixels of each tile; NaN without finite pixels.
 
-    `step` is the digitisation step: the clipping never falls between neighbouring values, and the quantiles of values
-    that are multiples of it are found faster.
+    `step` is the digitisation step: the clipping limits never fall between neighbouring values, and quantiles of values
+    that are multiples of the step are found faster.
     """
     tile_rows, tile_columns = -(-image.shape[0] // rows), -(-image.shape[1] // columns)
     stride = max(1, tile_rows * tile_columns // _SAMPLES)
@@ -209,12 +210,12 @@ def tile_statistics(image: Image, rows: int, columns: int, step: float) -> Float
     return statistics
 
 
-# whole numbers, and what lies on a lattice, have the same sums in any order
+# "reassoc" allows vectorised sums. Integers, and values on a lattice, have the same sum in any order.
 @kernel_with(fastmath={"reassoc", "nsz"})
 def _fill_statistics(
     image: Image, stride: int, step: float, sample: NDArray[np.float32], quantiles: FloatArray, statistics: FloatArray
 ) -> None:
-    """Fills the statistics of `tile_statistics`; `quantiles` is working space, of NaN at first."""
+    """Fill the statistics of `tile_statistics`; `quantiles` is working space, initially NaN."""
     height, width = image.shape
     rows, columns = statistics.shape[1], statistics.shape[2]
     for tile_row in range(rows):
@@ -230,34 +231,38 @@ def _fill_statistics(
                     quantiles[k] = find_kth(sample, count, rank, step, quantiles[k])
                 if not step > 0.0 or math.isnan(quantiles[k]):
                     quantiles[k] = ranked(sample[:count], rank)[0]
-            # above the median: an image cut off at zero has no spread below it; clipping takes the stars off again
+            # The spread is measured above the median, because an image cut off at zero has none below it; the clipping
+            # then removes the stars.
             median, before = quantiles[0], -1
             mean, std = median, quantiles[1] - median
             for _ in range(_CLIPPINGS):
                 mean, std, kept = _clipped(sample, count, median, _clip(std, step))
                 std /= _CLIPPED_STD
-                if kept == before:  # the same ones, as all lie about the median
+                if kept == before:  # the same values, as the intervals are concentric
                     break
                 before = kept
             statistics[0, tile_row, tile_column], statistics[1, tile_row, tile_column] = mean, std
 
 
 def smooth_tiles(tiles: FloatArray) -> FloatArray:
-    """3×3 median over tiles (…, R, C); outside, the map continues linearly, so that a plane stays as it is."""
+    """3 × 3 median over tiles (…, R, C).
+
+    Beyond the border the map is extrapolated linearly, so that a plane is unchanged.
+    """
     rows, columns = tiles.shape[-2:]
     out = np.empty(tiles.shape)
     _smooth(tiles.reshape(-1, rows, columns), np.empty((rows + 2, columns + 2)), out.reshape(-1, rows, columns))
     return out
 
 
-@pixel_kernel
+@kernel
 def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
     rows, columns = tiles.shape[1], tiles.shape[2]
     for n in range(len(tiles)):
         for r in range(rows):
             for c in range(columns):
                 padded[r + 1, c + 1] = tiles[n, r, c]
-        for side in range(2):  # the border continues from the two lines beside it
+        for side in range(2):  # the border is extrapolated from the two nearest lines
             border, near, inwards = side * (rows + 1), 1 + side * (rows - 1), (1 - 2 * side) * min(1, rows - 1)
             for c in range(1, columns + 1):
                 padded[border, c] = 2.0 * padded[near, c] - padded[near + inwards, c]
@@ -267,7 +272,8 @@ def _smooth(tiles: FloatArray, padded: FloatArray, out: FloatArray) -> None:
                 padded[r, border] = 2.0 * padded[r, near] - padded[r, near + inwards]
         for r in range(rows):
             for c in range(columns):
-                # the median of nine is that of the largest least, the middle middle and the least largest of its rows
+                # The median of 3 × 3 values is the median of three: the largest minimum, the median of the medians, and
+                # the smallest maximum of the rows.
                 low, high, first, second, third = -np.inf, np.inf, 0.0, 0.0, 0.0
                 for j in range(r, r + 3):
                     a, b, d = padded[j, c], padded[j, c + 1], padded[j, c + 2]
@@ -283,8 +289,11 @@ def _middle(a: float, b: float, c: float) -> float:
 
 @lru_cache(maxsize=16)
 def _cells(tiles: int, size: int, extrapolate: bool) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]:
-    """Lower of the two tiles between whose centres each pixel of an axis lies, the first pixel of each (and the end),
-    and how far a pixel is to the upper one."""
+    """Position of each pixel of an axis between the centres of tiles.
+
+    Returns the index of the lower tile (size,), the first pixel of each tile and the end, and the distance to the upper
+    centre as a share of the spacing (size,).
+    """
     if tiles == 1:
         return np.zeros(size, np.int64), np.array([0, size]), np.zeros(size)
     k = np.arange(tiles)
@@ -306,7 +315,7 @@ def interpolate_tiles(tiles: FloatArray, height: int, width: int, extrapolate: b
     return Plane(lines, cell, share.astype(np.float32))
 
 
-@pixel_kernel
+@kernel
 def _interpolate(tiles: FloatArray, first: NDArray[np.int64], share: FloatArray, lines: NDArray[np.float32]) -> None:
     for r in range(len(tiles)):
         for cell in range(len(first) - 1):

@@ -1,4 +1,4 @@
-"""Points or trails: whether the camera's turn has trailed the stars of a frame, one decision for all of them."""
+"""Points or trails: decides for all stars of a frame at once whether the camera's rotation has trailed them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.core import FloatArray, IntArray
 from startracker.detection.background import Background
 from startracker.detection.classify import FAINTER
@@ -30,7 +31,6 @@ from startracker.detection.thresholds import (
     WIDTH_SNR,
 )
 from startracker.detection.values import Image
-from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 from startracker.sorting import median
 
@@ -39,13 +39,14 @@ Flags = NDArray[np.bool_]
 _LOOKED_AT = 30
 _WHOLE_PIXELS = 12
 _BRIGHTEST, _NEIGHBOUR_PX, _DIRECTIONS = 150, 40.0, 18
-"""Objects, distance and bins of 10° in which pairs are counted that may be pieces of one trail."""
+"""Number of objects, largest distance, and number of direction bins (10° each) for pairs that may be fragments of one
+trail."""
 _WEIGHTS_PX = (1.2, 2.4, 4.8)
-"""Gaussian weights under which widths are measured: the first that is wider than the star images."""
+"""Widths of the Gaussian weight under which widths are measured; the first one wider than the star images is used."""
 
 
 def looks_trailed(table: Sources, parted: int, settings: DetectionSettings) -> bool:
-    """Whether it is worth looking for a motion: many objects were parted, or three of the brightest thirty are long."""
+    """Whether to search for a motion: many objects were split, or three of the brightest thirty are long."""
     whole = np.count_nonzero(table["pixels"] >= _WHOLE_PIXELS) - parted
     if parted >= max(FEWEST_LONG, PARTED_SHARE * whole):
         return True
@@ -54,10 +55,10 @@ def looks_trailed(table: Sources, parted: int, settings: DetectionSettings) -> b
 
 
 def line_up(table: Sources) -> float | None:
-    """Direction, rad, in which far more neighbouring objects line up than by chance: pieces of long trails; or None.
+    """Direction, rad, along which far more neighbouring objects are aligned than by chance, or None.
 
-    Pairs within 40 px among the 150 brightest are counted by direction. Of stars all directions have as many. `table`
-    has the brightest first.
+    Such objects may be fragments of long trails. Pairs within 40 px among the 150 brightest objects are counted by
+    direction; pairs of stars are equally frequent in all directions. `table` is sorted by decreasing flux.
     """
     flux = table["flux"]
     count = len(flux) if len(flux) <= _BRIGHTEST else np.count_nonzero(flux >= flux[_BRIGHTEST - 1])
@@ -66,18 +67,21 @@ def line_up(table: Sources) -> float | None:
     counts = np.zeros(_DIRECTIONS, np.int64)
     _count_directions(xy, counts)
     pairs = counts.tolist()
+    # Three adjacent bins are added, because a direction near the border of a bin fills two; directions are periodic in
+    # 180°.
     beside = list(zip(pairs[-1:] + pairs[:-1], pairs, pairs[1:] + pairs[:1], strict=True))
     three = [sum(counted) for counted in beside]
     most, mean = three.index(max(three)), 3.0 * sum(pairs) / _DIRECTIONS
     if three[most] < max(FEWEST_ALIGNED, mean + ALIGNED_SIGMA * math.sqrt(mean)):
         return None
+    # Centre of the excess over the mean in the three bins, in units of a bin.
     before, middle, after = (max(count - mean / 3.0, 0.0) for count in beside[most])
     return (most + 0.5 + (after - before) / (before + middle + after)) * math.pi / _DIRECTIONS
 
 
 @kernel
 def _count_directions(xy: FloatArray, pairs: IntArray) -> None:
-    """Count pairs of neighbours by direction."""
+    """Count the pairs of neighbouring objects by direction."""
     for first in range(len(xy)):
         for second in range(first):
             dx, dy = xy[second, 0] - xy[first, 0], xy[second, 1] - xy[first, 1]
@@ -92,15 +96,15 @@ def select_trailed(
     background: Background,
     excess: float,
 ) -> Spots | None:
-    """Stars of a trailed frame: objects that are long and fit the one motion; None where there is no such motion.
+    """Stars of a trailed frame: the long objects that fit its one motion, or None if there is no such motion.
 
     Parameters
     ----------
     table, settings, saturation_known, background, excess
-        As for `startracker.detection.classify.select_spots`; the objects found at half the threshold, which faint
-        trails fall apart above. In exchange an object needs 12 pixels and, as a whole, twice the threshold. To be a
-        trail it need only be longer than broad: the limit on the axis ratio, somewhere in which trails of one length
-        scatter, is for single ones.
+        As for `startracker.detection.classify.select_spots`, for objects found at half the threshold, because faint
+        trails fall apart above the full one. In exchange an object needs 12 pixels and, as a whole, twice the
+        threshold. To count as a trail it need only be longer than wide: the limit on the axis ratio is meant for single
+        objects, and trails of one length scatter about it.
     """
     at_peak = table["y_peak"].astype(np.intp), table["x_peak"].astype(np.intp)
     noise = excess * background.noise_plane[*at_peak]
@@ -136,40 +140,41 @@ def select_trailed(
 
 
 def decide(trails: Spots, points: Spots, image: Image, background: Background, most: int) -> Spots:
-    """Candidates of the likelier hypothesis, all stars trailed or all stars points; the other's as `Spots.other`.
+    """Choose between two hypotheses, all stars trailed or all stars points; the other is returned as `Spots.other`.
 
-    Where points are chosen, those that are trails of the common motion, as satellites draw them, are left out.
+    If points are chosen, those that are trails of the common motion, such as satellites, are left out.
 
     Parameters
     ----------
     trails, points : Spots
-        Candidates under either hypothesis.
+        Candidates under each hypothesis.
     image, background
-        What they were found in.
+        Where they were found.
     most : int
-        Points wanted.
+        Number of points wanted.
     """
     assert trails.centre is not None
     assert trails.streak is not None
     star, on_trail, major = _round_stars(trails.centre, trails.streak, points, image, background)
     if _are_too_few(star, len(trails)):
         return replace(trails, other=points.take(np.arange(min(most, len(points)))))
-    # a satellite is longer than the stars of the frame, which aberrations may have elongated themselves
+    # A satellite is longer than the stars, which aberrations may elongate too, so a trail is compared with their
+    # median.
     trailed = on_trail & (major > WIDTH_RATIO * median(major[star]))
     return replace(points.take(np.flatnonzero(~trailed)[:most]), other=trails)
 
 
 def trails_win(centre: FloatArray, length: FloatArray, points: Spots, image: Image, background: Background) -> bool:
-    """Whether all stars of a frame are trailed, rather than points: see `decide`.
+    """Whether all stars of a frame are trailed rather than points, see `decide`.
 
-    A trailed frame has no round images of stars: what is left beside its trails are hot pixels and cosmic rays, which
-    are sharper, and pieces of trails, which lie on these. So the number decides of points that have the width of the
-    frame's star images along both axes and lie on no trail. That width is measured across the trails.
+    A trailed frame has no round star images: apart from its trails it shows hot pixels and cosmic rays, which are
+    sharper, and fragments of trails, which lie on trails. So the decision depends on the number of points that have the
+    width of the frame's star images along both axes and lie on no trail. That width is measured across the trails.
 
     Parameters
     ----------
     centre, length : array, shape (N, 2)
-        Of the trails, px.
+        Centres and lengths of the trails, px.
     """
     return _are_too_few(_round_stars(centre, length, points, image, background)[0], len(centre))
 
@@ -181,8 +186,8 @@ def _are_too_few(star: Flags, trails: int) -> bool:
 def _round_stars(
     centre: FloatArray, lengths: FloatArray, points: Spots, image: Image, background: Background
 ) -> tuple[Flags, Flags, FloatArray]:
-    """Which points are round star images beside the trails, which lie on a trail, and their variance along the major
-    axis, px²."""
+    """Which points (N,) are round star images off the trails, which lie on a trail, and their major variance (N,),
+    px²."""
     assert points.centre is not None
     level, noise, width = background.level_plane, background.noise_plane, math.nan
     x, y = np.rint(centre).astype(np.int64).T

@@ -1,4 +1,4 @@
-"""What kernels ask of a pixel's value, whatever its type: images of a converter stay 16-bit integers."""
+"""Properties of a pixel's value for kernels, for every type of image: converters give 16-bit integers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import ArrayLike, NDArray
 
+from startracker._compiled import kernel
 from startracker.errors import InputError
-from startracker.kernels import pixel_kernel
 
 Image = NDArray[np.float32] | NDArray[np.uint16]
-"""What kernels read: float32 of which some may not be finite, or uint16."""
+"""Images that kernels read: float32, possibly with values that are not finite, or uint16."""
 
 
 def as_image(image: ArrayLike) -> NDArray[np.float32]:
@@ -24,7 +24,7 @@ def as_image(image: ArrayLike) -> NDArray[np.float32]:
 
 
 def as_pixels(image: ArrayLike) -> Image:
-    """The same, with uint16 left as it is: half the memory to read, and nothing to look for that is not finite."""
+    """`as_image`, but uint16 is not converted, which halves the memory to read and needs no tests for finite values."""
     array = _checked(image)
     return np.ascontiguousarray(array) if array.dtype == np.uint16 else as_image(array)
 
@@ -72,7 +72,7 @@ def _is_integer(image: Any) -> Callable[[Any], bool]:
     return found
 
 
-@pixel_kernel
+@kernel
 def whole_range(image: NDArray[np.uint16], least: int) -> tuple[int, int, int]:
     """Lowest and highest value of an image of integers, and how many are at least `least`, in one pass."""
     lowest, highest, count = image[0, 0], image[0, 0], 0

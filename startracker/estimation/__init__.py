@@ -36,13 +36,13 @@ METHODS: dict[str, Estimator] = {
     "star_pair": star_pair,
     "plate_constants": plate_constants,
 }
-"""Estimators by name; packages add theirs in the entry-point group ``boresight.estimators``.
+"""Estimators by name; packages register their own in the entry-point group ``boresight.estimators``.
 
 ``field_fit`` is the weighted fit in pixels with which the tracker matches the stars of a field, its default. The others
-are given the matched stars as directions, corrected for the deviations of the camera that this fit found, with the
+receive the matched stars as directions, corrected for the deviations of the camera that this fit found, with the
 estimated error of each: ``svd``, ``davenport``, ``quest`` and ``esoq2`` solve Wahba's problem and differ by rounding
-alone; ``triad`` and ``star_pair`` use two stars; ``plate_constants`` leaves the scale free. An estimator with a fourth
-parameter, ``field``, is given the fit itself (`FieldFit`).
+only; ``triad`` and ``star_pair`` use two stars; ``plate_constants`` leaves the scale free. An estimator with a fourth
+parameter, ``field``, receives the fit itself (`FieldFit`).
 """
 
 

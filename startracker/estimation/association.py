@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog.sky_view import VoxelGrid, stars_on_image
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.estimation.pose import UNKNOWN_FLOOR_PX
 from startracker.geometry.image_map import CX, CY, HEIGHT, ImageMap, pixel_slopes, to_pixels
 from startracker.geometry.linalg import cross, transform
-from startracker.kernels import kernel, kernel_part
 from startracker.observer import ABERRATION_SCALE_SIGMA
 from startracker.sorting import median
 
@@ -29,7 +29,7 @@ class Displaced(NamedTuple):
     Parameters
     ----------
     rolls : bool
-        By the body rate, in the rows of a rolling shutter.
+        By the body rate, between the exposures of the rows of a rolling shutter.
     moves : bool
         By the stars' space motion since the catalogue's epoch, if the time is unknown.
     scales : bool
@@ -41,13 +41,18 @@ class Displaced(NamedTuple):
     scales: bool
 
 
+def _extra_sigma(displaced: Displaced) -> FloatArray:
+    sigma = [RATE_SIGMA_RAD_S] * 3 if displaced.rolls else []
+    sigma += [EPOCH_SIGMA_YR] if displaced.moves else []
+    sigma += [ABERRATION_SCALE_SIGMA] if displaced.scales else []
+    return np.array(sigma)
+
+
 EXTRA_SIGMA = {
-    Displaced(rolls, moves, scales): np.array(
-        [RATE_SIGMA_RAD_S] * 3 * rolls + [EPOCH_SIGMA_YR] * moves + [ABERRATION_SCALE_SIGMA] * scales
-    )
-    for rolls, moves, scales in itertools.product((False, True), repeat=3)
+    displaced: _extra_sigma(displaced)
+    for displaced in itertools.starmap(Displaced, itertools.product((False, True), repeat=3))
 }
-"""Prior standard deviations (E,) of the amplitudes of `predicted_pixels`."""
+"""Prior standard deviations (E,) of the amplitudes of `predicted_pixels`, by the displacements that are fitted."""
 
 
 @kernel
@@ -60,9 +65,12 @@ def predicted_pixels(
     row_time_s: float,
     displaced: Displaced,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pixels (M, 2) of guide stars at an attitude (3, 3), the same from the principal point, their derivatives (M, 2,
-    3) (`pixel_slopes`), and the displacements (M, 2, E) that are always fitted: by the rotation about each axis between
-    the rows' exposures, per year by the space motion (3, G), and by a change of scale."""
+    """Pixels of guide stars at an attitude (3, 3), their derivatives, and displacements that are always fitted.
+
+    Returns the pixels (M, 2); the same relative to the principal point (M, 2); their derivatives (M, 2, 3)
+    (`pixel_slopes`); and the displacements (M, 2, E): by the rotation about each axis between the rows' exposures, s;
+    by the space motion (3, G), per year; and by a change of scale.
+    """
     vectors = np.empty((len(guides), 3))
     for n in range(len(guides)):
         guide = guides[n]
@@ -75,7 +83,7 @@ def predicted_pixels(
     for n in range(len(guides)):
         offset[n, 0], offset[n, 1] = pixels[n, 0] - image[CX], pixels[n, 1] - image[CY]
         guide, row_s = guides[n], (pixels[n, 1] - middle) * row_time_s
-        # θ = motion × v, with −θ × v = motion, for motion across v
+        # A space motion across v is a rotation by θ = motion × v of the camera, because −θ × v = motion.
         x, y, z = cross(motion[:, guide], directions[guide])
         for k in range(3):
             turn = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
@@ -90,23 +98,23 @@ def predicted_pixels(
 
 
 REJECT_SIGMAS = 3.7
-"""A residual's length beyond this many of its standard errors an axis has probability 1e-3 (Rayleigh)."""
+"""Length of a residual, in standard errors on one axis, that is exceeded with probability 1e-3 (Rayleigh)."""
 MARGIN_PX = 3.0
-"""Guide stars up to this far outside the image may have a centroid on it."""
+"""Distance outside the image, px, up to which a guide star may have a centroid on it."""
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 _MANY, _LEAST_SCALE = 10, 0.4
 
 
 @kernel
 def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Nearest candidate (K, D) of each point (N, D) within its gate (N,), each candidate used once.
+    """Nearest candidate (K, D) of each point (N, D) within its gate (N,); each candidate is assigned once.
 
-    If two points claim one candidate, the one nearer in units of its gate keeps it.
+    If two points claim one candidate, it is assigned to the nearer one in units of the gates.
 
     Returns
     -------
     index, distance : (N,)
-        −1 and inf where there is none.
+        −1 and inf for points without a candidate.
     """
     index, distance = np.empty(len(points), np.int64), np.empty(len(points))
     owner, across = np.empty(len(candidates), np.int64), np.empty((2, len(candidates)))
@@ -116,6 +124,7 @@ def nearest_unique(points: FloatArray, candidates: FloatArray, gate: FloatArray)
         index[i], distance[i] = -1, np.inf
         best, at = gate[i] ** 2, -1
         x, y = points[i, 0], points[i, 1]
+        # A first pass without branches, which is vectorised, shows for most points that no candidate is near.
         near = 0
         for j in range(len(candidates)):
             near += (across[0, j] - x) ** 2 + (across[1, j] - y) ** 2 <= best
@@ -148,7 +157,7 @@ class Field(NamedTuple):
     """Apparent directions (G, 3)."""
     grid: VoxelGrid
     cosine: float
-    """Of the angle from the boresight to the corner of the image."""
+    """Cosine of the angle from the boresight to the corner of the image."""
     image: ImageMap
 
 
@@ -162,7 +171,7 @@ def matched_again(
     known: bool,
     field: Field,
 ) -> tuple[IntArray, bool]:
-    """Pairs (M, 2) of centroids and the nearest guide stars at an attitude, and whether they are those in use."""
+    """Pairs (M, 2) of centroids and the nearest guide stars at an attitude, and whether these are the pairs in use."""
     vectors = np.empty_like(reference)
     transform(matrix, reference, vectors)
     scale = _robust_scale(used, xy, to_pixels(vectors, field.image), sigma, known)
@@ -183,7 +192,8 @@ def matched_again(
 
 @kernel_part
 def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: FloatArray, known: bool) -> float:
-    """Standard error in units of the stated one: median of the residuals' lengths, corrected for the three fitted."""
+    """Standard error in units of the stated one: median length of the residuals, corrected for the three fitted
+    parameters."""
     length = np.empty(len(used))
     for k in range(len(used)):
         star = used[k, 0]
@@ -192,7 +202,7 @@ def _robust_scale(used: IntArray, xy: FloatArray, predicted: FloatArray, sigma: 
     scale: float = median(length) / _RAYLEIGH_MEDIAN / math.sqrt(freedom)
     if not known:
         return max(scale, UNKNOWN_FLOOR_PX)
-    # if many stars agree better than stated, as without noise, a blend among them is found
+    # If many stars agree better than stated, as in images without noise, a blend among them is recognised.
     return max(scale, _LEAST_SCALE if len(length) >= _MANY else 1.0)
 
 
@@ -206,14 +216,15 @@ def paired(
     systematic_px2: float,
     near_px: float,
 ) -> tuple[IntArray, BoolArray, FloatArray]:
-    """Pairs (K, 2) of centroids (N, 2) and guide stars (G,) at their positions (G, 2), which fit, and the centroids
-    (N, 2) with duplicates merged.
+    """Pairs (K, 2) of centroids (N, 2) and guide stars, which of them fit, and the centroids with duplicates merged.
 
-    A centroid that fits is within 3.7 standard errors, of which those along the trail of a smeared star are far larger
-    than those across; the others are paired with the remaining guide stars within `near_px`. If several fit one star,
-    it is at their mean: the nearest to the expected position would confirm any expectation.
+    The guide stars have indices `index` (G,) and positions (G, 2). A centroid fits if it is within 3.7 standard errors,
+    which for a trailed star are far larger along the trail than across; the others are paired with the remaining guide
+    stars within `near_px`. If several centroids fit one star, their mean is used: the one nearest to the expected
+    position would confirm any expectation.
     """
     gate = np.empty(len(xy))
+    # Larger eigenvalue of the covariance: a circular gate first, and then the ellipse itself.
     for n in range(len(xy)):
         a, b, c = stated[n, 0, 0], stated[n, 0, 1], stated[n, 1, 1]
         widest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) ** 2 + b * b)
@@ -229,7 +240,7 @@ def paired(
         merged[n, 0], merged[n, 1], several[n] = xy[n, 0], xy[n, 1], 1.0
         if near[n] >= 0:
             owner[near[n]] = n
-    left = np.empty_like(positions)  # NaN is near nothing
+    left = np.empty_like(positions)  # NaN is not within any gate
     for k in range(len(positions)):
         left[k, 0], left[k, 1] = positions[k, 0] if owner[k] < 0 else math.nan, positions[k, 1]
     for n in range(len(xy)):
@@ -257,14 +268,15 @@ def paired(
 
 @kernel_part
 def _is_within(xy: FloatArray, position: FloatArray, stated: FloatArray, factor: float, systematic_px2: float) -> bool:
-    """Whether a centroid (2,) is within 3.7 standard errors of a position (2,) by its covariance (2, 2)."""
+    """Whether a centroid (2,) is within 3.7 standard errors of a position (2,), according to its covariance (2, 2)."""
     a, c, b = factor * stated[0, 0] + systematic_px2, factor * stated[1, 1] + systematic_px2, factor * stated[0, 1]
     x, y = xy[0] - position[0], xy[1] - position[1]
     return bool(c * x * x - 2.0 * b * x * y + a * y * y <= REJECT_SIGMAS**2 * (a * c - b * b))
 
 
 def merge_pairs(used: IntArray, named: IntArray) -> tuple[IntArray, BoolArray]:
-    """Pairs that are used, those named that share no star with them, both by centroid; and which are used."""
+    """Pairs that are used, together with those named pairs that share no star with them, sorted by centroid; and a mask
+    of the used ones."""
     other = ~(np.isin(named[:, 0], used[:, 0]) | np.isin(named[:, 1], used[:, 1]))
     pairs = np.concatenate([used, named[other]])
     order = np.argsort(pairs[:, 0], kind="stable")

@@ -11,13 +11,13 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import cross, inverse, rotated, transform
-from startracker.kernels import kernel, kernel_part
 
 _STEPS, _SETTLED_RAD = 12, 1e-9
 _LARGEST_TURN_RAD = 0.1
-"""Maximum deviation of a fit from the attitude of two stars, beyond which it does not contain them."""
+"""Largest rotation, rad, of a fit from the attitude of two stars; beyond it, the stars do not match."""
 
 
 @kernel_part
@@ -57,6 +57,7 @@ def normal_equations(
         w = 1.0 / sigma[i] ** 2
         px, py, pz = predicted[index[i], 0], predicted[index[i], 1], predicted[index[i], 2]
         ex, ey, ez = observed[i, 0] - px, observed[i, 1] - py, observed[i, 2] - pz
+        # The information on a rotation is I − p pᵀ for each star: none about its own direction.
         normal[0, 0] += w * (1.0 - px * px)
         normal[1, 1] += w * (1.0 - py * py)
         normal[2, 2] += w * (1.0 - pz * pz)
@@ -88,11 +89,11 @@ def fit_turn(
     precision: FloatArray,
     start: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Most probable rotation vector (3,) from reference directions (K, 3) to observed ones, its covariance (3, 3), and
-    the information of the stars; the prior is 0 with the inverse covariance `precision` (3, 3).
+    """Most probable rotation vector (3,) from reference directions (K, 3) to observed ones, and its covariance (3, 3).
 
-    `start` (3,) is the initial value; for other parameters see `normal_equations`. The covariance is NaN if stars and
-    `precision` do not determine the rotation.
+    The prior is 0 with the inverse covariance `precision` (3, 3), and `start` (3,) is the initial value; for other
+    parameters see `normal_equations`. The information of the stars (3, 3) is returned too. The covariance is NaN if
+    stars and prior do not determine the rotation.
     """
     turn, predicted, change = np.empty(3), np.empty_like(reference), np.empty(3)
     matrix, total, covariance, information = np.zeros((3, 3)), np.empty((3, 3)), precision, precision
@@ -100,12 +101,12 @@ def fit_turn(
         turn[i], matrix[i, i] = start[i], 1.0
     for _ in range(_STEPS):
         transform(rotated(matrix, turn[0], turn[1], turn[2]), reference, predicted)
-        information, right = normal_equations(observed, observed, predicted, index, sigma, 3)
+        information, right = normal_equations(observed, observed, predicted, index, sigma, len(turn))
         for i in range(3):
             for j in range(3):
                 total[i, j] = information[i, j] + precision[i, j]
                 right[i] -= precision[i, j] * turn[j]
-        covariance, _ = inverse(total, 3)
+        covariance, _ = inverse(total, len(total))
         largest = 0.0
         for i in range(3):
             change[i] = covariance[i, 0] * right[0] + covariance[i, 1] * right[1] + covariance[i, 2] * right[2]
@@ -121,7 +122,7 @@ def pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
     """Columns: `one`; the pole n of the great circle to `two`; and n × one, towards `two`."""
     out, pole = np.empty((3, 3)), np.empty(3)
     pole[0], pole[1], pole[2] = cross(one, two)
-    # repeated, to be perpendicular to the last digit even for nearly parallel directions
+    # Orthogonalised twice, so that the pole is perpendicular to the last digit even for nearly parallel directions.
     for _ in range(2):
         length, along = 0.0, 0.0
         for k in range(3):
@@ -143,7 +144,8 @@ def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> Floa
     image."""
     seen, known, out = pair_frame(b[first], b[second]), pair_frame(r[first], r[second]), np.empty((3, 3))
     transform(seen, known, out)
-    for i in range(3):  # rows are those of the other frame
+    # `transform` multiplies the rows of `known`, so that the product comes out transposed.
+    for i in range(3):
         for j in range(i):
             out[i, j], out[j, i] = out[j, i], out[i, j]
     return out
@@ -153,8 +155,9 @@ def pair_rotation(b: FloatArray, r: FloatArray, first: int, second: int) -> Floa
 def fit_pairs(
     pairs: IntArray, directions: FloatArray, guides: FloatArray, sigma: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Best-fit attitude (3, 3) for pairs (M, 2) of centroids and guide stars, and the directions (M, 3) of these. NaN
-    if the iteration does not converge, because the patterns do not match.
+    """Best-fit attitude (3, 3) for pairs (M, 2) of centroids and guide stars, and the directions (M, 3) of the latter.
+
+    NaN if the iteration does not converge, because the patterns do not match.
 
     Parameters
     ----------

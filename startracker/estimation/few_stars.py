@@ -12,18 +12,19 @@ from startracker.estimation.pose import Pose
 
 @lru_cache(maxsize=1024)
 def few_stars_factor(freedom: int, quantile: float = 0.999) -> float:
-    """Factor of a covariance χ²/ν · P, so that it contains 99.9 % of the errors: 3 F₀.₉₉₉(3, ν)/χ²₀.₉₉₉(3).
+    """Factor on a covariance χ²/ν · P after which it contains 99.9 % of the errors: 3 F₀.₉₉₉(3, ν)/χ²₀.₉₉₉(3).
 
-    With errors known only from the residuals, eᵀP⁻¹e/(3 χ²/ν) is distributed as F(3, ν), not as χ²/3: for three stars
-    (ν = 3) its 99.9 % quantile is larger by a factor of 26, for twelve by 1.5. `quantile` is another one.
+    If errors are known from the residuals only, eᵀP⁻¹e/(3 χ²/ν) has the distribution F(3, ν) rather than χ²/3: for
+    three stars (ν = 3) its 99.9 % quantile is larger by a factor of 26, for twelve by 1.5. `quantile` selects another
+    one.
     """
     return float(3.0 * fdtri(3.0, float(freedom), quantile) / chdtri(3.0, 1.0 - quantile))
 
 
 def doubt_of_stated_errors(chi2: float, freedom: int) -> float:
-    """How far residuals contradict the stated errors, from 0 to 1: 1 − 2 α(p) for a probability p of a larger χ².
+    """How strongly residuals contradict the stated errors, from 0 to 1: 1 − 2 α(p) for a probability p of a larger χ².
 
-    α = [1 + (−e p ln p)⁻¹]⁻¹ is the lowest probability that the errors are as stated, from even odds, whatever the
+    α = [1 + (−e p ln p)⁻¹]⁻¹ is the lowest probability that the errors are as stated, for even prior odds, whatever the
     alternative; 1/2 for p > 1/e (Sellke, Bayarri & Berger 2001, The American Statistician 55, 62, equation 3).
     """
     p = float(chdtrc(float(freedom), chi2))
@@ -34,16 +35,16 @@ def doubt_of_stated_errors(chi2: float, freedom: int) -> float:
 
 
 def of_unknown_errors(pose: Pose, stars: int) -> Pose:
-    """Fit of so many stars without stated errors, with its covariances for 99.9 % of the errors."""
+    """Fit of `stars` stars without stated errors, with covariances that contain 99.9 % of the errors."""
     return _widened(pose, few_stars_factor(_freedom(stars)))
 
 
 def with_doubt(pose: Pose, stars: int) -> Pose:
-    """Fit of few stars with its covariances increased by the doubt of the stated errors: as far as these are
-    contradicted, errors are known only from the residuals.
+    """Fit of few stars, with covariances increased as far as the residuals contradict the stated errors.
 
-    The factor is that for 99 % of the errors. With five stars (ν = 7) no rule contains 99.9 % both of errors as stated
-    and of errors twice as large, unless it doubles the covariance of all fields of five stars.
+    The factor for a complete contradiction is that for 99 % of the errors. With five stars (ν = 7) no rule contains
+    99.9 % both of errors as stated and of errors twice as large, unless it doubles the covariance of all fields of five
+    stars.
     """
     freedom = _freedom(stars)
     doubt = doubt_of_stated_errors(pose.chi2, freedom)
@@ -51,6 +52,7 @@ def with_doubt(pose: Pose, stars: int) -> Pose:
 
 
 def _freedom(stars: int) -> int:
+    # Two residuals per star, less three rotation angles.
     return max(2 * stars - 3, 1)
 
 

@@ -1,4 +1,4 @@
-"""The weighted fit of the whole field, as an estimator among the others, and how an estimator asks for it."""
+"""The weighted fit of the whole field as an estimator, and the protocol by which an estimator receives it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Estimator: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], Estimate]
 
 
 class FieldFit(NamedTuple):
-    """The fit of a field in pixels (`startracker.estimation.pose`), from which all stars were matched."""
+    """Fit of a field in pixels (`startracker.estimation.pose`), with which all stars were matched."""
 
     matrix: FloatArray
     """ICRS to camera, (3, 3)."""
@@ -35,7 +35,7 @@ class FieldEstimator(Protocol):
     def __call__(
         self, observed: FloatArray, reference: FloatArray, sigma_rad: FloatArray, *, field: FieldFit
     ) -> Estimate:
-        """Attitude, with the whole covariance: nothing is added for the camera."""
+        """Attitude with its full covariance: nothing is added for the camera."""
 
 
 def takes_field(estimator: Estimator) -> TypeGuard[FieldEstimator]:
@@ -81,6 +81,7 @@ def field_fit(
     b, r, sigma = check_directions(observed, reference, sigma_rad)
     rows, weight = np.arange(len(b)), weights_of(sigma)
     matrix, _ = fit_pairs(np.stack([rows, rows], axis=1), b, r, sigma, np.zeros((3, 3)))
-    if not np.isfinite(matrix).all():  # the pattern differs too much from that of the catalogue for small corrections
+    # The patterns may differ too much for small corrections, so the closed solution is used.
+    if not np.isfinite(matrix).all():
         matrix = fit_rotation(b, r, weight)
     return Estimate(polish(matrix, b, r, weight), covariance_of(b, sigma))

@@ -29,8 +29,8 @@ _WRONG_MISFIT = 20.0
 """Mean misfit (`startracker.centroid.result.misfit_of_brightest`) of star images of another shape than the fitted."""
 _HARMONICS = 2
 AMPLITUDE_SIGMA = np.array([*np.tile([1.4, 1.4, 0.7, 0.7], 2), 3.0])
-"""Prior standard deviation of the amplitudes (9,), in units of the systematic error of the frame; the last one is that
-at the corners."""
+"""Prior standard deviations (9,) of the amplitudes, in units of the systematic error of the frame; the last is that at
+the corners."""
 _SHARED_PART = 0.1
 """Ratio of the common shift of all stars to the amplitude of the cosines, measured for coma in and out of focus."""
 _UNCERTAIN = 0.4
@@ -88,18 +88,20 @@ def shared_shift(errors: ImageErrors, measured: bool) -> FloatArray:
 
 
 def probability_as_assumed(misfit: float | None) -> float:
-    """Probability that star images are as assumed, so that there is no τ (`pose`), from the misfit of the brightest. If
-    they are, the misfit is a normal deviate; otherwise it is exponentially distributed, plus the same noise.
+    """Probability that star images are as assumed, so that there is no τ (`pose`), from the misfit of the brightest.
+
+    If they are, the misfit is a Gaussian deviate; otherwise it is exponentially distributed, plus the same noise.
 
     Parameters
     ----------
     misfit : float or None
-        `startracker.centroid.result.misfit_of_brightest`; None: unknown.
+        `startracker.centroid.result.misfit_of_brightest`; None if unknown.
     """
     if misfit is None:
         return AS_ASSUMED
     misfit = max(misfit, -5.0)  # the stated noise may be too large
     clean = math.exp(-0.5 * misfit**2) / math.sqrt(2.0 * math.pi)
+    # Convolution of an exponential distribution of mean `_WRONG_MISFIT` with a unit Gaussian.
     beyond = 0.5 * math.erfc((1.0 / _WRONG_MISFIT - misfit) / math.sqrt(2.0))
     wrong = math.exp(0.5 / _WRONG_MISFIT**2 - misfit / _WRONG_MISFIT) * beyond / _WRONG_MISFIT
     part = AS_ASSUMED * clean
@@ -108,6 +110,7 @@ def probability_as_assumed(misfit: float | None) -> float:
 
 def rotation_of_shift(covariance_px2: FloatArray, camera: Camera) -> FloatArray:
     """Covariance (3, 3) of the rotation vector, rad², of an error of the position common to all stars, (2, 2) px²."""
+    # The pseudo-inverse selects the smallest rotation for a shift; the roll stays undetermined, and is zero.
     turn_per_px = np.linalg.pinv(pixel_slopes(np.array([[0.0, 0.0, 1.0]]), camera.image_map)[0])
     covariance: FloatArray = turn_per_px @ covariance_px2 @ turn_per_px.T
     return covariance

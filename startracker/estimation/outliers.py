@@ -1,23 +1,4 @@
-"""Displaced stars among few: hypotheses of which star is displaced, weighed by evidence.
-
-A blend, or a wrong identification, displaces one star of a field. Among many stars its residual shows it. Among few it
-pulls the attitude towards itself, and all residuals are large: an error common to all stars (`estimation.pose`, τ)
-explains them as well. The hypotheses that no star is displaced, and for each star that it is, are compared by
-evidence (Kass & Raftery 1995, J. Am. Stat. Assoc. 90, 773). With ε the prior probability that a star is displaced and
-r its residual to the attitude of the other stars S,
-
-    P(star i displaced) ∝ ε q(r_i) p(S without i),      P(none) ∝ p(S)
-
-p is the evidence of the fit (`estimation.pose`). The displacement may have any size d up to a few pixels, equally
-probable in logarithm, q ∝ 1/d²; with m² = rᵀ Σ⁻¹ r and Σ the covariance of the residual
-
-    q = 1/(2π |Σ|^(1/2) (m² + w²) ln(d_max/d_min))
-
-w, in standard errors, keeps the density finite for displacements below the noise. The attitude is the mean of all
-hypotheses, and its covariance the mean of theirs plus the scatter of their means (Hoeting et al. 1999, Statistical
-Science 14, 382). It is that of one hypothesis where the residuals decide, and includes the alternatives where they do
-not, as for four stars or a displacement of a few standard errors.
-"""
+"""Displaced stars among few: the hypotheses of which star is displaced are weighted by their evidence."""
 
 from __future__ import annotations
 
@@ -42,9 +23,9 @@ _LOG_ODDS = math.log(_DISPLACED / (1.0 - _DISPLACED))
 _LOG_RANGE = 3.5
 """ln(d_max/d_min), for displacements from 4 standard errors of 0.02 px to 2.5 px."""
 _LEAST_SIGMAS = 2.0
-"""w."""
+"""Width w of the density, in standard errors."""
 _SUSPICIOUS = 0.05
-"""Probability of larger residuals, below which hypotheses are compared."""
+"""Probability of larger residuals below which hypotheses are compared."""
 _NEGLIGIBLE = 0.05
 """Weight of a hypothesis relative to the best, below which it is left out of the average (Occam's window; Madigan &
 Raftery 1994, J. Am. Stat. Assoc. 89, 1535)."""
@@ -63,7 +44,7 @@ class Average(NamedTuple):
 
 
 class _Hypothesis(NamedTuple):
-    """Logarithm of its weight, the rows of stars that are not displaced, and their fit."""
+    """Logarithm of the weight, indices of the stars that are not displaced, and their fit."""
 
     log_weight: float
     rows: IntArray
@@ -87,8 +68,9 @@ def rows_of(stars: Linearised, rows: IntArray) -> Linearised:
 
 
 def average(stars: Linearised, fit: Fitted) -> Average:
-    """Mean of the fits of all stars, and of those without one, by evidence; stars are left out one by one, as long as
-    this is the most probable hypothesis.
+    """Mean of the fits of all stars, and of those without one, weighted by evidence.
+
+    Stars are excluded one by one, as long as that is the most probable hypothesis.
 
     Parameters
     ----------
@@ -103,7 +85,7 @@ def average(stars: Linearised, fit: Fitted) -> Average:
     tried = [best]
     while len(best.rows) >= FEWEST_STARS:
         others = _without_each(best, stars, fit)
-        # the alternatives of the last star left out remain those of the average
+        # The alternatives to the last star that was excluded remain part of the average.
         tried = [h for h in tried if len(h.rows) <= len(best.rows) + 1] + others
         likeliest = max(others, key=lambda hypothesis: hypothesis.log_weight)
         if likeliest.log_weight <= best.log_weight:
@@ -115,14 +97,16 @@ def average(stars: Linearised, fit: Fitted) -> Average:
 
 
 def log_weight(stars: Linearised, used: BoolArray, pose: Pose) -> float:
-    """ln of the posterior weight of the hypothesis that the stars that are not used (M,) are displaced, and the others
-    are not and have this fit; `Pose.turn` is the correction of the attitude about which the stars are linearised."""
+    """ln of the posterior weight of the hypothesis that exactly the stars that are not used (M,) are displaced.
+
+    The others have this fit; `Pose.turn` is the correction of the attitude about which the stars are linearised.
+    """
     displaced = np.flatnonzero(~used)
     return pose.log_evidence + sum(_log_price(stars, int(row), pose) for row in displaced)
 
 
 def _without_each(of: _Hypothesis, stars: Linearised, fit: Fitted) -> list[_Hypothesis]:
-    """The hypotheses that one more star is displaced."""
+    """Hypotheses that one more star is displaced."""
     before = of.log_weight - of.pose.log_evidence
     found = []
     for k in range(len(of.rows)):
@@ -134,7 +118,7 @@ def _without_each(of: _Hypothesis, stars: Linearised, fit: Fitted) -> list[_Hypo
 
 
 def _log_price(stars: Linearised, row: int, pose: Pose) -> float:
-    """ln ε q of the residual of a star to the fit of others."""
+    """ln ε q for the residual of a star relative to the fit of others."""
     one = slice(row, row + 1)
     moved = displacements(stars.offset[one], stars.extra[one], pose.unknowns)[0]
     slopes = stars.slopes[row]
@@ -147,7 +131,7 @@ def _log_price(stars: Linearised, row: int, pose: Pose) -> float:
 
 
 def _mean(tried: list[_Hypothesis], best: _Hypothesis) -> Pose:
-    """Moments of all hypotheses; the other columns are those of the best."""
+    """Moments of the mixture of all hypotheses; the other columns are those of the best."""
     weight = np.exp(np.array([h.log_weight for h in tried]) - max(h.log_weight for h in tried))
     weight = np.where(weight < _NEGLIGIBLE, 0.0, weight)
     weight /= weight.sum()
@@ -155,6 +139,7 @@ def _mean(tried: list[_Hypothesis], best: _Hypothesis) -> Pose:
     turn = weight @ turns
     away = turns - turn
     covariance = np.tensordot(weight, np.array([h.pose.covariance for h in tried]), 1)
+    # Variance of a mixture: the mean of the variances, plus the variance of the means.
     covariance = covariance + (away * weight[:, None]).T @ away
     camera_part = best.pose.camera_part + (covariance - best.pose.covariance)
     return best.pose._replace(turn=turn, covariance=covariance, camera_part=camera_part)

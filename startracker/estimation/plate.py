@@ -1,6 +1,6 @@
 """Plate constants (Yee 1999, section 2.4): a linear map from image to standard coordinates, and the image's centre.
 
-Standard coordinates are the gnomonic projection of the sky on the plane that touches it at the centre, ξ east and η
+Standard coordinates are the gnomonic projection of the sky onto the plane tangent to it at the centre, ξ east and η
 north. For a plane image they are linear in its coordinates, for any scale, rotation, parity and shear; the centre is
 the point for which the origin maps to (0, 0), found by iteration.
 """
@@ -108,6 +108,7 @@ def solve_plate(xy: ArrayLike, sky_deg: ArrayLike, tolerance_deg: float = 1.0 / 
         solution = np.linalg.lstsq(design, standard, rcond=None)[0]
         center = _from_standard(solution[2], tangent)
         moved = np.abs(center - tangent)
+        # The difference in right ascension is taken along the shorter arc.
         moved[0] = min(moved[0], 360.0 - moved[0])
         if moved.max() <= tolerance_deg:
             break
@@ -147,7 +148,7 @@ def first_center_deg(xy: FloatArray, sky_deg: FloatArray) -> FloatArray:
 
 
 def _to_standard(sky_deg: FloatArray, tangent_deg: FloatArray) -> FloatArray:
-    """Eqs. 2.16 and 2.17."""
+    """Standard coordinates of right ascension and declination, eqs. 2.16 and 2.17."""
     turn, dec = np.radians(sky_deg[:, 0] - tangent_deg[0]), np.radians(sky_deg[:, 1])
     sine, cosine = math.sin(math.radians(tangent_deg[1])), math.cos(math.radians(tangent_deg[1]))
     depth = sine * np.sin(dec) + cosine * np.cos(dec) * np.cos(turn)
@@ -159,7 +160,7 @@ def _to_standard(sky_deg: FloatArray, tangent_deg: FloatArray) -> FloatArray:
 
 
 def _from_standard(standard: FloatArray, tangent_deg: FloatArray) -> FloatArray:
-    """Eqs. 2.18 and 2.19, valid in every quadrant."""
+    """Right ascension and declination of standard coordinates, eqs. 2.18 and 2.19, valid in every quadrant."""
     xi, eta = standard[..., 0], standard[..., 1]
     sine, cosine = math.sin(math.radians(tangent_deg[1])), math.cos(math.radians(tangent_deg[1]))
     inward = cosine - eta * sine
@@ -214,16 +215,18 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
         matrix = (sky - centre).T @ along
         if not full:
             same, other = matrix[0, 0] + matrix[1, 1], matrix[1, 0] - matrix[0, 1]
+            # The part of the matrix that is a similarity: one scale and one rotation.
             matrix = np.array([[same, -other], [other, same]])
         offset = centre - matrix @ middle
         size = float(np.hypot(*offset))
+        # A step that is not half as long as the one before shows that only rounding is left.
         if size < _SETTLED_RAD or (size < 1e-9 and size >= 0.5 * last):
             break
         last = size
         axes_r = _tangent_axes(axes_r[2] + offset @ axes_r[:2])
     swing, reach = matrix[1, 0] - matrix[0, 1], matrix[0, 0] + matrix[1, 1]
     length = math.hypot(swing, reach)
-    # a mirror image, or no match, has no rotation
+    # A mirror image, or stars that do not match, cannot be mapped by a rotation.
     if not (size < 1e-7 and length > 0.1 and np.linalg.det(matrix) > 0.0):
         raise InputError(_NO_PLATE)
     c, s = reach / length, swing / length

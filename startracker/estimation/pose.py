@@ -43,10 +43,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray
 from startracker.estimation.image_errors import AS_ASSUMED
 from startracker.geometry.linalg import inverse
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
 TRUSTED = 20.0
@@ -115,7 +115,7 @@ class Pose(NamedTuple):
     """χ² of the first model without systematic error: of the residuals and stated errors."""
 
 
-@kernel_part
+@kernel
 def _columns(stars: Linearised) -> FloatArray:
     """H (M, 2, 6 + E): rotation, the caller's columns, focal length, shears."""
     slopes, extra, offset = stars.slopes, stars.extra, stars.offset
@@ -157,7 +157,6 @@ def displacements(offset: FloatArray, extra: FloatArray, unknowns: FloatArray) -
     return moved
 
 
-@kernel
 def fit_pose(stars: Linearised, trusted: float, first: int, models: int, rounds: int) -> Pose:
     """Average of all models of the module's docstring, weighted by evidence.
 
@@ -173,28 +172,23 @@ def fit_pose(stars: Linearised, trusted: float, first: int, models: int, rounds:
     rounds : int
         1; or 2, if errors are unknown: they are scaled in place, to the mean square residual, then to the first fit's.
     """
-    columns, shape = _columns(stars), np.empty((2, 2))
-    shape[0, 0], shape[0, 1], shape[1, 0], shape[1, 1] = 1.0, 0.0, 0.0, 1.0
-    scale, left = 0.0, rounds
-    for n in range(len(columns)):
-        scale += (stars.residual[n, 0] ** 2 + stars.residual[n, 1] ** 2) / (2 * len(columns))
-    scale = max(scale, UNKNOWN_FLOOR_PX**2)
-    while True:  # a part is compiled once for each call
-        for n in range(len(columns) if rounds > 1 else 0):
-            for axis in range(4):
-                stars.covariance[n, axis // 2, axis % 2] *= scale
-        pose: Pose = _fit_models(stars, columns, trusted, first, models, shape)
-        scale, left = pose.factor, left - 1
-        if left > 0:
-            continue
-        if trusted == 0.0 or pose.systematic_px2 == 0.0 or shape[0, 0] != 1.0 or shape[0, 1] != 0.0:
-            return pose
-        shape = _shape_of_systematic(stars.residual, columns, pose)
-        if shape[0, 0] == 1.0 and shape[0, 1] == 0.0:
-            return pose
+    columns, isotropic, covariance = _columns(stars), np.eye(2), stars.covariance
+    if rounds > 1:
+        covariance *= max(float(np.mean(stars.residual**2)), UNKNOWN_FLOOR_PX**2)
+    pose: Pose = _fit_models(stars, columns, trusted, first, models, isotropic)
+    for _ in range(rounds - 1):
+        covariance *= pose.factor
+        pose = _fit_models(stars, columns, trusted, first, models, isotropic)
+    if trusted == 0.0 or pose.systematic_px2 == 0.0:
+        return pose
+    shape = _shape_of_systematic(stars.residual, columns, pose)
+    if np.array_equal(shape, isotropic):
+        return pose
+    elongated: Pose = _fit_models(stars, columns, trusted, first, models, shape)
+    return elongated
 
 
-@kernel_part
+@kernel
 def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) -> FloatArray:
     """T (2, 2) of trace 2, in which the systematic error has the covariance τ² T.
 
@@ -210,7 +204,7 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
             x, y = x - columns[n, 0, k] * amplitude, y - columns[n, 1, k] * amplitude
         variance = pose.sigma_px[n] ** 2
         share = pose.systematic_px2 / variance
-        # a single outlier must not determine the shape
+        # A single outlier must not determine the shape.
         square = max(x * x + y * y, 1e-300) / variance
         share_of_one = share * min(1.0, _FARTHEST_SQUARE / square) / variance
         a, b = a + share_of_one * 0.5 * (x * x - y * y), b + share_of_one * x * y
@@ -225,7 +219,7 @@ def _shape_of_systematic(residual: FloatArray, columns: FloatArray, pose: Pose) 
     return shape
 
 
-@kernel_part
+@kernel
 def _fit_models(
     stars: Linearised, columns: FloatArray, trusted: float, first: int, models: int, shape: FloatArray
 ) -> Pose:
@@ -245,7 +239,7 @@ def _fit_models(
     return pose
 
 
-@kernel_part
+@kernel
 def _weighted_sums(
     stars: Linearised, columns: FloatArray, systematic: FloatArray, normal: FloatArray, right: FloatArray
 ) -> tuple[float, float]:
@@ -271,7 +265,7 @@ def _weighted_sums(
     return total, log_det
 
 
-@kernel_part
+@kernel
 def _fit_each_model(
     stars: Linearised,
     columns: FloatArray,
@@ -294,7 +288,7 @@ def _fit_each_model(
     mean, every = np.zeros((grid, 3, widest)), np.zeros((grid, 3, widest, widest))
     plain, normal, right = np.zeros((grid, 3, 3)), np.empty((widest, widest)), np.empty(widest)
     added, flat = np.empty((widest, widest)), np.empty((2, 2))
-    # the same for all models, but not for fits of fewer stars
+    # This constant is the same for all models, but not for fits of fewer stars.
     constant = 0.0
     if trusted > 0.0:
         constant = math.lgamma(0.5 * (trusted + freedom)) - math.lgamma(0.5 * trusted)
@@ -304,7 +298,7 @@ def _fit_each_model(
             for j in range(2):
                 flat[i, j] = SYSTEMATIC[t] ** 2 * unit * shape[i, j]
         total, log_det = _weighted_sums(stars, columns, flat, normal, right)
-        rotation, log_rotation = inverse(normal, 3)
+        rotation, log_rotation = inverse(normal, np.int64(3))
         for i in range(3):
             for j in range(3):
                 plain[t, i, j] = rotation[i, j]
@@ -339,7 +333,7 @@ def _fit_each_model(
     return weight, scale, mean, every, plain
 
 
-@kernel_part
+@kernel
 def _averaged(
     weight: FloatArray,
     scale: FloatArray,

@@ -1,5 +1,4 @@
-"""From identified stars to the attitude: match all stars of the field, reject outliers, and fit the others with
-weights."""
+"""From identified stars to the attitude: match all stars of the field, reject outliers, fit the others with weights."""
 
 from __future__ import annotations
 
@@ -171,7 +170,8 @@ def _matched(
         used = fitting
         if iterated and not free_focal:  # the next fit would be the same
             break
-    if known and len(used) >= _FEWEST_TO_REJECT:  # bright stars show systematic errors: do not reject them yet
+    # Bright stars have small stated errors and show systematic errors first, so they are not rejected yet.
+    if known and len(used) >= _FEWEST_TO_REJECT:
         wide = np.maximum(sigma, median(sigma[used[:, 0]]))
         matrix, reference = _first_fit(used, directions, sky, wide, matrix)
         more, _ = matched_again(used, matrix, reference, xy, wide, known, field)
@@ -240,8 +240,8 @@ class _Field(NamedTuple):
         return _Fit(pose, matrix, errors, used, measured, named, fits)
 
     def weighed(self, fit: _Fit, pairs: IntArray, fewest: int) -> _Fit:
-        """The fit, if no other one explains the same stars better: of few stars, one without displaced ones; of many,
-        one of all, if many of them do not fit."""
+        """The fit, unless another one explains the same stars better: for few stars, one without displaced stars; for
+        many, one of all, if many of them do not fit."""
         for last in (False, True):
             if len(fit.named) > MOST_STARS:
                 return self._with_all(fit, fewest)
@@ -254,7 +254,7 @@ class _Field(NamedTuple):
             before, fit = fit, self._averaged(fit, stars)
             if last or np.array_equal(fit.used, before.used):
                 return fit
-            # the attitude may have been far off, and stars not identified
+            # The attitude may have been so wrong that stars were not identified.
             again = self.iterated(fit.used, fit.matrix, len(fit.used))
             pairs, fit = fit.used, again if len(again.used) >= len(fit.used) else fit
         return fit
@@ -301,7 +301,7 @@ class _Field(NamedTuple):
 
     def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, ImageErrors]:
         """Pose of some pairs (M, 2), linearised about an attitude (3, 3), its attitude, and the errors common to the
-        field; from measured positions (N, 2), see `named`."""
+        field; measured positions (N, 2) are those of `named`."""
         pose, errors = self._fitted(self._linearised(pairs, matrix, measured), measured[pairs[:, 0]])
         x, y, z = pose.turn.tolist()
         return pose, rotated(matrix, -x, -y, -z), errors
@@ -323,8 +323,8 @@ class _Field(NamedTuple):
         return pose, errors
 
     def named(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
-        """Pairs (K, 2) of all centroids of guide stars, which of them fit within their errors, and the positions (N,
-        2), with duplicates merged."""
+        """Pairs (K, 2) of all centroids of guide stars, which of them fit, and positions (N, 2) with duplicates
+        merged."""
         camera, guide = self.camera, self.guide
         cosine = field_cosine(camera, MARGIN_PX)
         index, _, pixels = stars_on_image(matrix, cosine, MARGIN_PX, guide.directions, guide.grid, camera.image_map)
@@ -333,6 +333,7 @@ class _Field(NamedTuple):
         else:
             offset, extra = pixels - self.centre_px, np.empty((len(index), 2, 0))
         area = float(camera.width * camera.height)
+        # Radius at which the expected number of centroids by chance is `BY_CHANCE`, for the density of the centroids.
         near_px = min(NAMED_PX, math.sqrt(BY_CHANCE * area / (math.pi * max(len(self.xy), 1))))
         scale = pose.factor if self.known else pose.sigma_px[0] ** 2
         right = self._corrected(self.xy, errors)
@@ -345,14 +346,15 @@ class _Field(NamedTuple):
     def attitude(self, fit: _Fit, estimator: Estimator) -> tuple[FloatArray, FloatArray]:
         """Attitude by the estimator, and its covariance.
 
-        An estimator is given the matched stars as directions, without the displacements that the fit found, and their
-        errors as the fit estimated them, with the factor for few stars. Its own covariance does not contain what
-        remains unknown of the camera.
+        An estimator receives the matched stars as directions, without the displacements that the fit found, and their
+        errors as estimated by the fit, with the factor for few stars. Its own covariance does not include the remaining
+        uncertainty of the camera.
         """
         pose, matrix, used, camera = fit.pose, fit.matrix, fit.used, self.camera
         measured = self._corrected(fit.measured, fit.errors)
         reference = self.guide.directions[used[:, 1]]
         _, offset, slopes, extra = self.seen(used[:, 1], matrix)
+        # Geometric mean of the scales along the two axes: the fourth root of the determinant of J Jᵀ.
         pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
         seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
         sigma_rad = pose.sigma_px / pixels_per_rad

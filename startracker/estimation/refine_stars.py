@@ -1,4 +1,4 @@
-"""Attitude of a field from its stars alone: planets, Moon and Sun are recognised by their ephemeris and left out."""
+"""Attitude of a field from its stars only: planets, Moon and Sun are recognised by their ephemeris and excluded."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from startracker.geometry.camera import Camera
 from startracker.observer import Observer
 
 STATED_PX = 0.15
-"""Centroid error assumed for centroids given without one; identification tries up to ten times as much."""
+"""Error, px, assumed for centroids without stated errors; identification tries up to ten times as much."""
 IMAGE_FLOOR_PX = 0.1
-"""Added to the centroid errors for identification only: errors of the camera model and blends."""
+"""Error, px, added to the centroid errors for identification only, for errors of the camera model and blends."""
 
 
 def stated_errors(stars: Measured) -> FloatArray:
-    """Standard errors (N,) of the centroids on one axis, pixels, assumed for their identification."""
+    """Standard errors (N,) of the centroids on one axis, px, that are assumed for their identification."""
     if stars.variance_px2 is None:
         return np.full(len(stars.xy), STATED_PX)
     return np.sqrt(stars.variance_px2 + IMAGE_FLOOR_PX**2)
@@ -37,8 +37,9 @@ def refine_stars(
     directions: FloatArray | None,
     observer: Observer | None,
 ) -> tuple[Refined, SeenBodies]:
-    """Attitude of a field, and the bodies of the solar system among its centroids; if a star was identified with the
-    centroid of one, the attitude is fitted again without this centroid.
+    """Attitude of a field, and the bodies of the solar system among its centroids.
+
+    If a star was identified with the centroid of a body, the attitude is fitted again without this centroid.
 
     Parameters
     ----------

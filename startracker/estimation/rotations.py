@@ -31,7 +31,7 @@ def common_frame(b: FloatArray, weight: FloatArray) -> FloatArray:
 
 
 def _curvature(b: FloatArray, p: FloatArray, weight: FloatArray, frame: FloatArray) -> FloatArray:
-    """Σ w ((b·p) I − (b pᵀ + p bᵀ)/2) in the axes of `frame`: Wahba's Hessian; for p = b the information."""
+    """Σ w ((b·p) I − (b pᵀ + p bᵀ)/2) in the axes of `frame`: Wahba's Hessian, and for p = b the information."""
     products = (weight[:, None] * (b @ frame.T)).T @ (p @ frame.T)
     a, u, v = products.diagonal()
     return np.diag([u + v, a + v, a + u]) - 0.5 * (products + products.T) * (1.0 - np.eye(3))
@@ -68,7 +68,8 @@ def polish(matrix: FloatArray, b: FloatArray, r: FloatArray, weight: FloatArray)
 
 
 def most_telling_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
-    """Pair (i, j) of directions (M, 3) from which `pair_rotation` has the smallest mean square error, i first."""
+    """Pair (i, j) of directions (M, 3) from which `pair_rotation` has the smallest mean square error; i is the first
+    star."""
     sine2 = (np.cross(b[:, None], b[None]) ** 2).sum(axis=2)
     one, two = sigma[:, None] ** 2, sigma**2
     with np.errstate(divide="ignore", invalid="ignore"):

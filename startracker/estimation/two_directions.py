@@ -115,7 +115,7 @@ def star_pair(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayLike) -
 def _best_pair(b: FloatArray, sigma: FloatArray) -> tuple[int, int]:
     """Indices of the pair with the smallest error of the line's angle, with the separation taken along the diagonal."""
     first, second = np.triu_indices(len(b), 1)
-    # the sine, as opposite directions have the same axis and are as unsuitable as equal ones
+    # The sine is used because opposite directions lie along one axis and are as unsuitable as equal ones.
     side = np.sqrt(0.5) * np.linalg.norm(np.cross(b[first], b[second]), axis=1)
     slack = 2.0 * np.sqrt(0.5 * (sigma[first] ** 2 + sigma[second] ** 2))
     best = np.argmin(np.arctan2(side + slack, side - slack) - np.arctan2(side - slack, side + slack))
@@ -126,7 +126,7 @@ def _pair_frame(one: FloatArray, two: FloatArray) -> FloatArray:
     """Matrix (3, 3) with the columns midpoint, difference, and pole, as unit vectors."""
     middle, way = one + two, two - one
     middle, way = middle / np.linalg.norm(middle), way / np.linalg.norm(way)
-    # perpendicular for exact unit vectors, not after rounding
+    # The two are perpendicular for exact unit vectors, but not after rounding.
     way -= middle * (middle @ way)
     way /= np.linalg.norm(way)
     return np.stack([middle, way, np.cross(middle, way)], axis=1)

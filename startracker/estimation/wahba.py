@@ -106,7 +106,7 @@ def _optimal(
 
 
 def weights_of(sigma: FloatArray) -> FloatArray:
-    """σ⁻² (M,), their sum one."""
+    """Weights σ⁻² (M,), normalised to a sum of one."""
     weight: FloatArray = (sigma.min() / sigma) ** 2
     weight /= weight.sum()
     return weight
@@ -128,6 +128,7 @@ def _finish(matrix: FloatArray, b: FloatArray, r: FloatArray, sigma: FloatArray,
 
 def fit_rotation(b: FloatArray, r: FloatArray, weight: FloatArray) -> FloatArray:
     """Proper rotation (3, 3) that minimises the weighted squares of b − R · r (Markley 1988)."""
+    # Markley's diag(1, 1, det U det V): the axis of the smallest singular value changes sign.
     u, _, vt = np.linalg.svd(profile_of(b, r, weight))
     rotation: FloatArray = u @ vt
     if np.linalg.det(rotation) < 0.0:  # a reflection
@@ -208,6 +209,7 @@ def _kappa(s: FloatArray) -> float:
 def _quest_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     profile = profile_of(b, r, weight)
+    # Of the reference frame and the three rotated by 180°, the one with the largest trace, for the smallest rotation.
     axis = int(np.argmax([np.trace(profile), *profile.diagonal()])) - 1
     profile = _turned_reference(profile, axis)
     value, settled = largest_eigenvalue(profile)
@@ -222,6 +224,7 @@ def _quest_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArr
 def _esoq2_rotation(b: FloatArray, r: FloatArray, sigma: FloatArray) -> FloatArray:
     weight = weights_of(sigma)
     profile = profile_of(b, r, weight)
+    # The opposite choice to QUEST: the largest rotation, for which ESOQ2 is well conditioned.
     axis = int(np.argmin([np.trace(profile), *profile.diagonal()])) - 1
     profile = _turned_reference(profile, axis)
     value, settled = largest_eigenvalue(profile)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from startracker._compiled import kernel
 from startracker.fixed_point.formats import FixedPointOverflow, Format, Integers, integers
-from startracker.kernels import kernel
 
 DEGREES = Format(10, 22)
 """Right ascension, declination and roll, degrees: 0.0009″ per unit."""

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import quotient
-from startracker.kernels import kernel, kernel_part
 
 PLANE_BITS = 12
 """Fraction bits of pixels in the tangent plane."""
@@ -121,7 +121,7 @@ def local_areas(points: Integers, tables: Tables) -> Integers:
     return out
 
 
-@kernel_part
+@kernel
 def spans(points: Integers, index: Integers, count: int, tables: Tables) -> tuple[bool, int]:
     """Whether the matched points span the field, and the sum of their squared distances from their mean."""
     mx = my = 0
@@ -142,7 +142,7 @@ def spans(points: Integers, index: Integers, count: int, tables: Tables) -> tupl
     return xx * yy - xy * xy >= tables.spread * count * count, lever
 
 
-@kernel_part
+@kernel
 def weigh(square: Integers, index: Integers, area: Integers, count: int, in_field: int, lever: int, t: Tables) -> int:
     """log₂ of the Bayes factor of the given matches, rounded down."""
     n = len(index)

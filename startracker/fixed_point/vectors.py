@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.fixed_point.formats import Format, Integers
-from startracker.kernels import kernel_part
 
 DIRECTION = Format(2, 30)
 """Components of unit vectors; a unit is 0.0002″."""
@@ -36,7 +36,7 @@ def cross(a: Integers, b: Integers) -> Integers:
     return np.asarray((a[..., i] * b[..., j] - a[..., j] * b[..., i]) >> 30)
 
 
-@kernel_part
+@kernel
 def normalize(v: Integers, least: int) -> bool:
     """Normalise a vector with components below 2³⁶ in place; False if all components are below `least`."""
     largest = max(abs(v[0]), abs(v[1]), abs(v[2]))

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.fixed_point.evidence import NEVER, PLANE_BITS, Tables, spans, weigh
 from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import dot, normalize, quotient
-from startracker.kernels import kernel, kernel_part
 
 FEW_FIT, NOT_SPREAD, FIT = 0, 1, 2
 """States of `verify`: fewer than three stars match; the matches are clustered or collinear; the evidence is valid."""
@@ -36,7 +36,7 @@ def plane(xy: Integers, tables: Tables) -> Integers:
     return np.stack([xy[:, 0] >> shift, -((xy[:, 1] * tables.ratio) >> (shift + 20))], axis=1)
 
 
-@kernel_part
+@kernel
 def _turn(matrix: Integers, x: int, y: int, z: int) -> bool:
     """Rotate an attitude in place by the small angles (x, y, z) of 2.30 about the camera's axes."""
     first = np.empty(3, np.int64)
@@ -83,7 +83,7 @@ def _field(matrix: Integers, tables: Tables, most: int, out: Integers) -> int:
     return count
 
 
-@kernel_part
+@kernel
 def _match(points: Integers, predicted: Integers, gate: int, index: Integers, square: Integers, owner: Integers) -> int:
     """Match each point (N, 2) to the nearest predicted position (K, 2) within the gate, one to one; returns the number
     of matches."""
@@ -110,7 +110,7 @@ def _match(points: Integers, predicted: Integers, gate: int, index: Integers, sq
     return count
 
 
-@kernel_part
+@kernel
 def _refit(matrix: Integers, points: Integers, predicted: Integers, index: Integers, count: int, focal: int) -> int:
     """One iteration of the fit, in place. Returns 0 if it failed, 1 if not yet converged, 2 if converged."""
     px = py = ex = ey = 0

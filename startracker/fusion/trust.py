@@ -15,6 +15,7 @@ first one included.
 from __future__ import annotations
 
 import math
+from typing import TypeGuard
 
 import numpy as np
 
@@ -290,7 +291,7 @@ def _alarmed(state: State, found: Finding) -> State:
     return fresh._replace(mekf=mekf, records=tuple(records))
 
 
-def _is_active(shift: Shift | None, t_s: float) -> bool:
+def _is_active(shift: Shift | None, t_s: float) -> TypeGuard[Shift]:
     return shift is not None and shift.until_s >= t_s
 
 
@@ -320,7 +321,7 @@ def _followed(state: State) -> State:
     assert state.mekf is not None
     mekf, records = state.mekf, list(state.records)
     for k, record in enumerate(state.records):
-        if record.motion is not None and _is_active(record.motion, state.t_s):
+        if _is_active(record.motion, state.t_s):
             mekf, seen_rad = _at_least_as_seen(mekf, k), mekf.bending_rad(k)
             if seen_rad > record.motion.shift_rad:
                 records[k] = record._replace(motion=record.motion._replace(shift_rad=seen_rad))

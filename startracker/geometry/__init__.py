@@ -1,1 +1,1 @@
-"""Attitude, camera and lens: rotations between frames, pixel ↔ unit vector, linear algebra of a few unknowns."""
+"""Attitude, camera and lens: rotations between frames, pixels and unit vectors, linear algebra with few unknowns."""

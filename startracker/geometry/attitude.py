@@ -22,8 +22,8 @@ from startracker.interop import is_rotation, is_skycoord, rotation_quat, skycoor
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 _UNIT = 4.0 * np.finfo(float).eps
-"""Largest deviation of a normalised quaternion's squared length from one: 3 eps in 200,000 random ones. A quaternion
-within it is not normalised again, so that one written to a file is read back bit by bit."""
+"""Largest deviation of a normalised quaternion's squared length from one: it is 3 eps in 200,000 random ones. A
+quaternion within it is not normalised again, so that one written to a file is read back bit by bit."""
 
 
 def radec_to_direction(ra_rad: ArrayLike, dec_rad: ArrayLike) -> FloatArray:
@@ -134,6 +134,7 @@ class Attitude:
             x, y, z, w = x / largest, y / largest, z / largest, w / largest  # no overflow or underflow of the squares
             length = math.sqrt(x * x + y * y + z * z + w * w)
             quat[0], quat[1], quat[2], quat[3] = x / length, y / length, z / length, w / length
+        # q and −q are the same rotation; w ≥ 0 selects one of them.
         if w < 0.0:
             np.negative(quat, out=quat)
         quat.flags.writeable = False
@@ -282,6 +283,7 @@ class Attitude:
             )
         x, y, z, w = quat_multiply(other.quat, self.quat * _CONJUGATE).tolist()
         sine = math.sqrt(x * x + y * y + z * z)
+        # The arc tangent is accurate for small and large angles, unlike the arc cosine of w.
         angle = 2.0 * math.atan2(sine, abs(w))
         scale = (angle / sine if sine > 0 else 2.0) * (1.0 if w >= 0 else -1.0)
         return np.array([x * scale, y * scale, z * scale])

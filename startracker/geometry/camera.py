@@ -43,8 +43,8 @@ class Camera:
         Coefficients with OpenCV's names: Brown–Conrady on normalised coordinates for a pinhole, k1 to k4 of the powers
         of the angle for a fisheye (`startracker.geometry.fisheye`).
     parity : int
-        +1 for a direct image (east to the left of north), −1 for an image mirrored by the optics or the readout: its
-        columns are reversed before anything else.
+        +1 for a direct image (east to the left of north), −1 for an image mirrored by the optics or the readout, whose
+        columns are reversed first.
     projection : str
         ``pinhole``, ``fisheye`` (Kannala–Brandt as in OpenCV), or ideal: ``equidistant``, ``equisolid``.
     row_time_s : float
@@ -184,7 +184,7 @@ class Camera:
             raise InputError(f"{where}: {error}") from error
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values that `from_dict` takes."""
+        """Plain values in the form that `from_dict` reads."""
         data = asdict(self)
         data["distortion"] = {key: float(value) for key, value in data["distortion"].items()}
         return data
@@ -220,7 +220,7 @@ class Camera:
 
     @property
     def fov_y_deg(self) -> float:
-        """Field of view over the full height, as `fov_deg`."""
+        """Field of view over the full height, degrees, defined as `fov_deg`."""
         undistorted = self._span_deg((self.cy + 0.5) / self.fy, (self.height - 0.5 - self.cy) / self.fy)
         return self._seen_deg([[self.cx, -0.5], [self.cx, self.height - 0.5]], undistorted)
 
@@ -238,8 +238,8 @@ class Camera:
         return self._span_deg((self.cx + 0.5) / self.fx, (self.width - 0.5 - self.cx) / self.fx)
 
     def _seen_deg(self, edges: list[list[float]], undistorted_deg: float) -> float:
-        """Angle between the directions of two pixels; the undistorted angle if they lie beyond the fold of the lens
-        model."""
+        """Angle between the directions of two pixels, degrees; the undistorted one if they are beyond the fold of the
+        lens model."""
         if self.projection != "pinhole" or self.distortion == Distortion():
             return undistorted_deg
         one, other = self.unproject(edges)
@@ -247,14 +247,15 @@ class Camera:
         return angle if math.isfinite(angle) else undistorted_deg
 
     def _span_deg(self, low: float, high: float) -> float:
-        """Angle between two edges at these distances in focal lengths on either side of the principal point."""
+        """Angle, degrees, between two edges at these distances, in focal lengths, on either side of the principal
+        point."""
         if self.projection == "pinhole":
             return math.degrees(math.atan(low) + math.atan(high))
         angles = [math.copysign(self._angle_rad(abs(edge)), edge) for edge in (low, high)]
         return math.degrees(angles[0] + angles[1])
 
     def _angle_rad(self, radius: float) -> float:
-        """Off-axis angle of a radius on a fisheye image; outside the image circle that of its edge."""
+        """Off-axis angle, rad, for a radius on a fisheye image; outside the image circle, the angle of its edge."""
         image = self.image_map
         edge = np.array([[radius, 0.0]])
         vector = fisheye_unproject(edge, image[LENS:], bool(image[EQUISOLID]), self.limit_rad)[0]
@@ -274,7 +275,7 @@ class Camera:
         radius = np.hypot((corners[:, 0] - self.cx) / self.fx, (corners[:, 1] - self.cy) / self.fy)
         if self.projection != "pinhole":
             return max(self._angle_rad(float(r)) for r in radius)
-        # a corner beyond the fold of the lens model has no direction: use the undistorted pinhole
+        # A corner beyond the fold of the lens model has no direction; the undistorted pinhole is used there.
         cosine = self.unproject(corners)[:, 2]
         angle = np.where(np.isfinite(cosine), np.arccos(np.clip(cosine, -1.0, 1.0)), np.arctan(radius))
         return float(angle.max())
@@ -286,10 +287,11 @@ class Camera:
 
     @functools.cached_property
     def image_map(self) -> ImageMap:
-        """The parameters of `project` and `unproject` as compiled kernels take them."""
+        """The parameters of `project` and `unproject` in the form that kernels read."""
         lens, pinhole = self.distortion, self.projection == "pinhole"
         powers = (lens.k1, lens.k2, lens.k3, lens.k4)
         return image_map(
+            # A mirrored image has a negative focal length along the columns.
             (self.parity * self.fx, self.fy),
             (self.cx, self.cy),
             (self.width, self.height),
@@ -310,8 +312,10 @@ class Camera:
         return np.asarray(to_pixels(v, self.image_map))
 
     def unproject(self, xy: ArrayLike) -> FloatArray:
-        """Unit vectors (N, 3) in the camera frame of pixels (N, 2); NaN where the distortion cannot be inverted and
-        outside the image circle of a fisheye."""
+        """Unit vectors (N, 3) in the camera frame of pixels (N, 2).
+
+        NaN where the distortion cannot be inverted, and outside the image circle of a fisheye.
+        """
         p = _rows("pixels", xy, 2)
         return np.asarray(to_directions(p, self.image_map))
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arguments import real_number
 from startracker.core import FloatArray
 from startracker.display import changed_fields
-from startracker.kernels import kernel_part
 
 
 @dataclass(frozen=True)
@@ -93,9 +93,9 @@ def project_pinhole(vectors: FloatArray, k: FloatArray, fx: float, fy: float, cx
     return out
 
 
-@kernel_part
+@kernel
 def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) -> tuple[float, float, bool]:
-    """Newton's method from (x, y); false if it reaches the fold of the lens model or does not converge."""
+    """Undistorted point by Newton's method from (x, y), and whether it converged before the fold of the lens model."""
     for _ in range(50):
         r2 = x * x + y * y
         top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
@@ -123,20 +123,20 @@ def _undistort_point(xd: float, yd: float, x: float, y: float, k: FloatArray) ->
 
 @kernel_part
 def _fold_radius2(k: FloatArray) -> float:
-    """Square of the radius, up to 8 (83°), at which r · radial(r²) first stops increasing: the model ends there."""
+    """Square of the radius, up to 8 (83°), at which r · radial(r²) first stops increasing, where the model ends."""
     for step in range(1, 513):
         r2 = (step / 64.0) ** 2
         top = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
         bottom = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
         slope_top = k[0] + r2 * (2.0 * k[1] + r2 * 3.0 * k[4])
         slope_bottom = k[5] + r2 * (2.0 * k[6] + r2 * 3.0 * k[7])
-        # d(r · top/bottom)/dr, times bottom²
+        # The condition is on d(r · top/bottom)/dr, multiplied by bottom².
         if bottom <= 0.0 or top * bottom + 2.0 * r2 * (slope_top * bottom - top * slope_bottom) <= 0.0:
             return r2
     return np.inf
 
 
-@kernel_part
+@kernel
 def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     """Undistorted from distorted normalised coordinates, shape (N, 2); NaN where the lens model cannot be inverted.
 
@@ -149,7 +149,8 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     out = np.empty_like(xy)
     for i in range(xy.shape[0]):
         x, y, inside = xy[i, 0], xy[i, 1], False
-        for step in range(steps + 1):  # the first from the distorted point, the others from the centre
+        # The first attempt starts at the distorted point; the others continue the solution from the centre outwards.
+        for step in range(steps + 1):
             share = step / steps if step > 0 else 1.0
             x, y, converged = _undistort_point(xy[i, 0] * share, xy[i, 1] * share, x, y, k)
             inside = converged and x * x + y * y <= fold2
@@ -161,7 +162,7 @@ def undistort(xy: FloatArray, k: FloatArray) -> FloatArray:
     return out
 
 
-@kernel_part
+@kernel
 def unproject_pinhole(xy: FloatArray, k: FloatArray, fx: float, fy: float, cx: float, cy: float) -> FloatArray:
     """Unit vectors (N, 3) in camera axes of pixels (N, 2): inverse of `project_pinhole`; NaN as in `undistort`."""
     normalised = np.empty((len(xy), 2))

@@ -18,14 +18,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 PROJECTIONS = ("pinhole", "fisheye", "equidistant", "equisolid")
 """Values of a camera's `projection`; the last two take no coefficients."""
 
 _BOUND_RAD = math.pi * (1.0 - 1e-9)
-"""The direction opposite to the boresight maps to a circle, not to a point."""
+"""Largest angle, rad: the direction opposite to the boresight maps to a circle, not to a point."""
 
 
 @lru_cache(maxsize=64)
@@ -34,7 +34,7 @@ def limit_rad(coefficients: tuple[float, float, float, float]) -> float:
 
     The first positive root of dr/dθ = 1 + 3 k1 θ² + 5 k2 θ⁴ + 7 k3 θ⁶ + 9 k4 θ⁸.
     """
-    # in (θ/π)², so that negligible coefficients can be recognised and dropped
+    # The polynomial is in (θ/π)², so that negligible coefficients can be recognised and dropped.
     slope = [(2 * n + 1) * coefficients[n - 1] * math.pi ** (2 * n) for n in (4, 3, 2, 1)] + [1.0]
     roots = np.roots([c if abs(c) > 1e-17 else 0.0 for c in slope])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * (1.0 + np.abs(roots.real))) & (roots.real > 0.0)]
@@ -49,12 +49,12 @@ def _radius(theta: float, k: FloatArray, equisolid: bool) -> float:
     return float(theta * (1.0 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3])))))
 
 
-@kernel_part
+@kernel
 def _angle(radius: float, k: FloatArray, equisolid: bool, limit: float) -> float:
-    """Angle of a radius, NaN beyond the largest.
+    """Angle, rad, for a radius on the image in focal lengths; NaN beyond the largest radius.
 
     Newton's method, safeguarded by bisection if a step leaves the bracket or is not half as long as the previous one:
-    between two inflections of the curve Newton's method can oscillate for ever.
+    between two inflections of the curve Newton's method can oscillate without end.
     """
     if equisolid:
         return 2.0 * math.asin(0.5 * radius) if radius <= 2.0 * math.sin(0.5 * limit) else math.nan

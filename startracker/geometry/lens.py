@@ -90,7 +90,7 @@ def only(camera: Camera, names: tuple[str, ...]) -> Camera:
 
 
 def sensitivity(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[str, FloatArray], FloatArray]:
-    """Pixels of stars and their derivatives.
+    """Pixels of stars, and their derivatives with respect to the lens and to their directions.
 
     Parameters
     ----------
@@ -105,6 +105,7 @@ def sensitivity(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[s
     vector.
     """
     image, by_lens, by_vector = (_pinhole if camera.projection == "pinhole" else _fisheye)(camera, vectors)
+    # A mirrored image has a negative focal length along the columns.
     focal = np.array([camera.parity * camera.fx, camera.fy])
     moves = {name: focal * columns for name, columns in by_lens.items()}
     offset = focal * image
@@ -115,8 +116,10 @@ def sensitivity(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[s
 
 
 def by_turn(by_vector: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Derivative (M, 2, 3) of pixels with respect to a small rotation vector of the camera, from the derivative with
-    respect to the vectors (M, 3): when the frame rotates by δ, the coordinates become v + v × δ.
+    """Derivative (M, 2, 3) of pixels with respect to a small rotation vector of the camera.
+
+    It follows from the derivative with respect to the vectors (M, 3), because a rotation of the frame by δ changes the
+    coordinates to v + v × δ.
     """
     x, y, z = vectors.T
     a, b, c = by_vector[:, :, 0], by_vector[:, :, 1], by_vector[:, :, 2]
@@ -131,7 +134,8 @@ def _pinhole(camera: Camera, vectors: FloatArray) -> tuple[FloatArray, dict[str,
     x, y = plane.T
     r2 = x * x + y * y
     radial = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
-    slope = 2.0 * (lens.k1 + r2 * (2.0 * lens.k2 + r2 * 3.0 * lens.k3))  # of radial by r²/2
+    # Derivative of `radial` with respect to r²/2.
+    slope = 2.0 * (lens.k1 + r2 * (2.0 * lens.k2 + r2 * 3.0 * lens.k3))
     tangential = {
         "p1": np.stack([2.0 * x * y, r2 + 2.0 * y * y], axis=1),
         "p2": np.stack([r2 + 2.0 * x * x, 2.0 * x * y], axis=1),
@@ -185,7 +189,8 @@ def is_one_to_one(camera: Camera) -> bool:
     corner, lens = corner_radius(camera), camera.distortion
     if camera.projection != "pinhole":
         return corner < 3.0 * math.pi
-    reach = np.linspace(0.0, 4.0, 400) ** 2  # to 76° off the axis
+    # Up to 76° from the axis. The slope of r · radial(r²) must stay positive, with a margin.
+    reach = np.linspace(0.0, 4.0, 400) ** 2
     rises = 1.0 + reach * (3.0 * lens.k1 + reach * (5.0 * lens.k2 + reach * 7.0 * lens.k3)) > 0.05
     last = len(reach) if rises.all() else int(np.argmin(rises))
     r2 = reach[:last]

@@ -119,6 +119,7 @@ def fit_jointly(
             return None
         if not np.isfinite(step).all():
             return None
+        # The step is halved until the lens is one-to-one and the cost does not increase.
         for _ in range(12):
             moved = _moved(state, names, step, with_refraction)
             if is_one_to_one(moved.camera):
@@ -134,7 +135,8 @@ def fit_jointly(
             break
     if not np.isfinite(chi2):
         return None
-    try:  # unchanged by the last step, which was too small
+    # The matrix is that before the last step, which was too short to change it.
+    try:
         covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
@@ -151,8 +153,10 @@ def rescaled(fit: JointFit, matches: list[Matches], *, with_refraction: bool) ->
 def rescaled_equations(
     fit: JointFit, matches: list[Matches], fields: Sequence[FloatArray] | None, *, with_refraction: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Normal matrix and right-hand side at the result of a fit, with the errors of `rescaled`; with further unknowns,
-    whose displacements (M, 2, C) of the stars of each image are `fields`, after all others."""
+    """Normal matrix and right-hand side at the result of a fit, with the errors of `rescaled`.
+
+    Further unknowns, whose displacements (M, 2, C) of the stars of each image are `fields`, come after all others.
+    """
     inflation = np.sqrt(fit.chi2 / fit.freedom)
     wider = [replace(m, sigma_px=m.sigma_px * inflation) for m in matches]
     state = _State(fit.camera, fit.matrices, fit.stretches)
@@ -172,9 +176,11 @@ def noise_floor(residuals: FloatArray, variance_px2: FloatArray, fitted: int = 0
         Number of parameters fitted to these residuals.
     """
     squares = np.sum(residuals**2, axis=1)
+    # The median of χ² with two degrees of freedom is 2 ln 2; the fit reduces it by its share of the degrees of freedom.
     wanted = 2.0 * math.log(2.0) * (1.0 - min(fitted / (2.0 * len(squares)), 0.9))
     if np.median(squares / variance_px2) <= wanted:
         return 0.0
+    # If the upper limit were the only variance, the median would have the expected value.
     low, high = 0.0, float(np.median(squares)) / wanted
     for _ in range(16):
         middle = 0.5 * (low + high)
@@ -262,7 +268,7 @@ def image_equations(
     if amounts is not None:
         vectors = stretch(vectors, amounts)
     pixels, moves, by_vector = sensitivity(camera, vectors)
-    # the effect of the stretch on the rotation, 1e-3, is negligible for the step
+    # The effect of the stretch on the rotation, 1e-3, is negligible for a step.
     columns = [np.stack([moves[name] for name in names], axis=2), by_turn(by_vector, vectors)]
     if with_refraction:
         x, y = vectors[:, :2].T
@@ -288,6 +294,7 @@ def _normal_equations(
     size = last + (fields[0].shape[2] if fields else 0)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     for i, m in enumerate(matches):
+        # Unknowns in this order: lens, rotation vectors of all images, stretches of all images, further unknowns.
         at = [np.arange(lens), lens + 3 * i + np.arange(3)]
         if with_refraction:
             at.append(lens + 3 * images + 2 * i + np.arange(2))
@@ -298,6 +305,7 @@ def _normal_equations(
         normal[np.ix_(where, where)] += of_image
         gradient[where] += right
     for name, sigma in _held(names, state):
+        # A prior is a further observation, of the parameter itself.
         k = names.index(name)
         normal[k, k] += 1.0 / sigma**2
         gradient[k] -= (value_of(name, state.camera) - prior_of(name, state.camera)[0]) / sigma**2

@@ -1,4 +1,4 @@
-"""Linear algebra of a few unknowns within kernels: Cholesky factors, inverses, 3-vectors, rotations.
+"""Linear algebra for a few unknowns in kernels: Cholesky factors, inverses, 3-vectors, rotations.
 
 NumPy's functions take a second each to compile, and half a microsecond per call.
 """
@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray
-from startracker.kernels import kernel, kernel_part
 
 _LEAST_PIVOT = 1e-14
 """Relative limit of a diagonal element after elimination, below which it is rounding error."""
@@ -25,6 +25,7 @@ def factorise(matrix: FloatArray, size: int) -> bool:
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             if i == j:
+                # Negated, so that NaN is rejected, too.
                 if not total > _LEAST_PIVOT * matrix[i, i]:
                     return False
                 matrix[i, i] = math.sqrt(total)
@@ -36,6 +37,7 @@ def factorise(matrix: FloatArray, size: int) -> bool:
 @kernel
 def substitute(factor: FloatArray, size: int, right: FloatArray) -> None:
     """Solution of L Lᵀ z = right, in place."""
+    # Forward substitution, L y = right, then back substitution, Lᵀ z = y.
     for i in range(size):
         for k in range(i):
             right[i] -= factor[i, k] * right[k]
@@ -80,8 +82,10 @@ def log_determinant(matrix: FloatArray) -> float:
 
 @kernel
 def inverse(matrix: FloatArray, size: int) -> tuple[FloatArray, float]:
-    """Inverse of the leading block (size, size) of a positive definite matrix, and ln of its determinant; NaN for any
-    other."""
+    """Inverse of the leading block (size, size) of a positive definite matrix, and ln of its determinant.
+
+    NaN for a matrix that is not positive definite.
+    """
     factor, out, log_determinant = np.empty((size, size)), np.zeros((size, size)), 0.0
     for i in range(size):
         for j in range(i + 1):
@@ -152,6 +156,7 @@ def rotate_back(matrix: FloatArray, vector: FloatArray) -> tuple[float, float, f
 def rotated(matrix: FloatArray, x: float, y: float, z: float) -> FloatArray:
     """exp([v]×) · matrix for a rotation vector v = (x, y, z), Rodrigues."""
     angle = math.sqrt(x * x + y * y + z * z)
+    # At angle 0 both factors are multiplied by zero vectors.
     s, c = 1.0, 0.0
     if angle > 0.0:
         s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / (angle * angle)

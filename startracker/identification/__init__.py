@@ -1,19 +1,19 @@
 """Star identification: which observed star is which guide star.
 
 Every method has the signature ``method(observed, guide, settings, prior) -> Identification`` (`observed`). A method
-proposes attitudes; common to all are their verification against every star of the field (`verification`), the evidence
-(`bayes_factor`, `clustering_null`), and the acceptance (`hypothesis`, `acceptance`).
+proposes attitudes. All methods share their verification against every star of the field (`verification`), the evidence
+(`bayes_factor`, `clustering_null`), and the acceptance (`acceptance`).
 
 ==================  ==================================================================================================
 adaptive            first triangles (`triangles`), then votes (`pole_votes`, planned by `search_plan`); candidates are
-                    confirmed by other stars (`other_stars`, `occupancy`) and verified (`candidate_search`)
+                    confirmed by other stars (`other_stars`) and verified (`candidate_search`)
 match_groups        with the kernels in `match_kernels`
-pyramid             with the k-vector in `kvector`
+pyramid             with the k-vector in `pairs`
 pattern_hash        with the kernels in `pattern_kernels` and the table in `pattern_table`
 triads              `triad_tables`, `triad_search`, `triad_votes`, for each `arithmetic`; the integer tracker of the C
                     export is `integer_solution`, its tables `integer_acceptance`
-unknown scale       `free_scale` and `last_fit`, over the patterns of `quads` and `whole_sky`; see `startracker.blind`
-known attitude      `association` of centroids and guide stars
+unknown scale       `free_scale` and `last_fit`, over the patterns of `quads`; see `startracker.blind`
+known attitude      `startracker.estimation.association` of centroids and guide stars
 ==================  ==================================================================================================
 """
 

@@ -1,10 +1,11 @@
-"""Attitudes about a knot of stars: its position in the sky is right, and roll and scale are searched for again.
+"""Attitudes around a knot of stars, whose direction is right: roll and focal length are searched for again.
 
 A knot of stars, such as the Pleiades, fixes the direction of its centre, but neither the roll nor the focal length. If
-the attitude it gave leaves the bright stars elsewhere unexplained, one more star is enough: the centre of the knot and
-an observed star, called a guide star, give the focal length from their separation, and then the roll. All bright stars
-away from the knot are called all bright guide stars at the same separation, within `MOST_FOCAL_ERROR`. Right calls give
-one attitude and one focal length, and those that most of them agree on are verified against all stars.
+the attitude found from it leaves the bright stars elsewhere unexplained, one more star is sufficient: if the centre of
+the knot and an observed star are paired with guide stars, their separation gives the focal length, and then the roll
+follows. Each bright star away from the knot is paired with all bright guide stars at the same separation, within
+`MOST_FOCAL_ERROR`. Correct pairings agree in one attitude and one focal length, and those on which most agree are
+verified against all stars.
 """
 
 from __future__ import annotations
@@ -26,20 +27,21 @@ from startracker.settings import IdentificationSettings
 from startracker.solution import Status
 
 MOST_FOCAL_ERROR = 3.0 * FOCAL_SIGMA
-"""Largest |ln f| tried: three of the standard deviations that the verification assumes."""
+"""Largest |ln f| that is tried: three of the standard deviations that the verification assumes."""
 _BRIGHTEST = 16
-"""Observed stars that are called guide stars."""
-_CALLS = 24
-"""Guide stars that each of them is called."""
+"""Number of observed stars that are paired with guide stars."""
+_MOST_PAIRINGS = 24
+"""Number of guide stars with which each of them is paired."""
 _AWAY = 0.25
-"""Separation from the knot, of the field's half diagonal, from which a star fixes roll and focal length."""
+"""Separation from the knot, as a share of the field's half diagonal, above which a star determines roll and focal
+length."""
 _MOST_VERIFIED = 8
 _FIRST_GATE = 2.0 * GATE_SIGMAS
-"""Of the verification, in multiples of its scale and of the standard errors."""
+"""Gate of the verification, in multiples of its scale and of the standard errors."""
 
 
-class _Calls(NamedTuple):
-    """Attitudes (K, 3, 3), each from the knot and one star (K,) that is called a guide star, and ln f (K,)."""
+class _Pairings(NamedTuple):
+    """Attitudes (K, 3, 3), ln f (K,) and observed stars (K,) of the pairings of one star with one guide star."""
 
     matrix: FloatArray
     log_focal: FloatArray
@@ -49,28 +51,28 @@ class _Calls(NamedTuple):
 def about_knot(
     found: Identification, observed: Observed, guide: GuideDatabase, settings: IdentificationSettings
 ) -> Identification:
-    """The attitude that explains the stars about a knot, after the one that was found from the knot was refused.
+    """Find the attitude that explains the stars around a knot, after the one from the knot itself was rejected.
 
     Parameters
     ----------
     found : Identification
-        The refused one, solved. It is a rival: another attitude is accepted if it is likelier than this one by the
-        allowed chance, even after the number of attitudes verified is paid for.
+        The rejected identification, solved. It is a rival: another attitude is accepted only if it is likelier than
+        this one by the allowed chance, including the number of attitudes that were verified.
     observed, guide, settings
-        As of an identifier.
+        As for an identifier.
 
     Returns
     -------
     Identification
-        Its operations include those of the refused one.
+        Its operations include those of the rejected one.
     """
     pool = HypothesisPool(settings, stars=len(observed), operations=found.operations)
     scale, verified = tried_scales(observed, guide)[-1], 0
     if len(observed) >= FEWEST_FOR_FOCAL:
-        calls = _calls(found.pairs, observed, guide)
+        pairings = _pairings(found.pairs, observed, guide)
         tolerance = _FIRST_GATE * scale * float(np.median(observed.sigma_rad)) / guide.half_diagonal_rad
-        for k in _most_agreed(calls, tolerance):
-            pool.check(calls.matrix[k], observed, guide, scale, math.exp(calls.log_focal[k]))
+        for k in _most_supported(pairings, tolerance):
+            pool.check(pairings.matrix[k], observed, guide, scale, math.exp(pairings.log_focal[k]))
             verified += 1
     pool.note(f"{verified} attitudes about the matched stars, with other rolls and focal lengths, were verified")
     again = pool.judge(observed)
@@ -83,13 +85,14 @@ def about_knot(
     return replace(again, status=status, reason=reason, pairs=pairs, log_false_alarm=chance)
 
 
-def _calls(pairs: IntArray, observed: Observed, guide: GuideDatabase) -> _Calls:
+def _pairings(pairs: IntArray, observed: Observed, guide: GuideDatabase) -> _Pairings:
     """Attitudes from the centre of the matched stars and each bright star away from it."""
     knot = pairs[_inner_half(observed.vectors[pairs[:, 0]])]
     slopes = focal_slopes(np.ascontiguousarray(observed.vectors, dtype=np.float64))
     at, slope = observed.vectors[knot[:, 0]].mean(axis=0), slopes[knot[:, 0]].mean(axis=0)
     centre = _unit(guide.directions[knot[:, 1]].mean(axis=0))
-    # angles between the centre and the stars for the shortest and the longest focal length; linear between them
+    # Angles between the centre and the stars for the shortest and the longest focal length; linear in ln f between
+    # them.
     ends = np.array([-MOST_FOCAL_ERROR, MOST_FOCAL_ERROR])
     seen = observed.vectors[None] + ends[:, None, None] * slopes[None]
     angle = np.array([_angle(_unit(at + end * slope), _unit(stars)) for end, stars in zip(ends, seen, strict=True)])
@@ -100,33 +103,41 @@ def _calls(pairs: IntArray, observed: Observed, guide: GuideDatabase) -> _Calls:
     star, called = [], []
     for n in away.tolist():
         low, high = angle[:, n].min(), angle[:, n].max()
-        ring = np.flatnonzero((separation >= low) & (separation <= high))[:_CALLS]
+        ring = np.flatnonzero((separation >= low) & (separation <= high))[:_MOST_PAIRINGS]
         star.append(np.full(len(ring), n))
         called.append(ring)
     stars, rows = (np.concatenate([np.empty(0, np.int64), *parts]) for parts in (star, called))
     span = angle[1, stars] - angle[0, stars]
     log_focal = ends[0] + (ends[1] - ends[0]) * (separation[rows] - angle[0, stars]) / span
+    # An attitude maps the frame of two guide directions onto the frame of the two observed ones.
     one = _axes(at + log_focal[:, None] * slope, observed.vectors[stars] + log_focal[:, None] * slopes[stars])
     other = _axes(np.broadcast_to(centre, (len(rows), 3)), guide.directions[near[rows]])
-    return _Calls(np.swapaxes(one, 1, 2) @ other, log_focal, stars)
+    return _Pairings(np.swapaxes(one, 1, 2) @ other, log_focal, stars)
 
 
 def _inner_half(vectors: FloatArray) -> IntArray:
-    """Rows of the half of the matched stars (M, 3) closest to their median, at least two: those of the knot, as others
-    are matched by chance if roll and focal length are wrong."""
+    """Indices of the half of the matched stars (M, 3) nearest to their median, at least two.
+
+    These are the stars of the knot; the others are matched by chance if roll and focal length are wrong.
+    """
     away = np.linalg.norm(vectors - np.median(vectors, axis=0), axis=1)
     return np.argsort(away, kind="stable")[: max(2, (len(vectors) + 1) // 2)]
 
 
-def _most_agreed(calls: _Calls, tolerance: float) -> list[int]:
-    """Rows of the calls on which most calls of other stars agree, within an angle and a difference in ln f; one of
-    those that agree, and at most `_MOST_VERIFIED`."""
-    rows = calls.matrix.reshape(-1, 9)
+def _most_supported(pairings: _Pairings, tolerance: float) -> list[int]:
+    """Indices of the pairings with which most pairings of other stars agree, at most `_MOST_VERIFIED`.
+
+    They agree if both the rotation angle, rad, and the difference in ln f are below `tolerance`. Of pairings that agree
+    with each other, one is returned.
+    """
+    rows = pairings.matrix.reshape(-1, 9)
+    # The trace of the relative rotation of two attitudes is 1 + 2 cos(angle), and the sum of the products of their
+    # elements.
     cosine = 0.5 * (rows @ rows.T - 1.0)
     agrees: BoolArray = (cosine > math.cos(tolerance)) & (
-        np.abs(calls.log_focal[:, None] - calls.log_focal[None]) < tolerance
+        np.abs(pairings.log_focal[:, None] - pairings.log_focal[None]) < tolerance
     )
-    votes = np.count_nonzero(agrees & (calls.star[:, None] != calls.star[None]), axis=1)
+    votes = np.count_nonzero(agrees & (pairings.star[:, None] != pairings.star[None]), axis=1)
     chosen: list[int] = []
     for k in np.argsort(-votes, kind="stable").tolist():
         if votes[k] == 0 or len(chosen) == _MOST_VERIFIED:

@@ -1,20 +1,20 @@
-"""Acceptance by probability: an attitude is accepted if chance explains it more rarely than the user allows.
+"""Acceptance by probability: an attitude is accepted if the chance of a coincidence is below the user's limit.
 
-With B the Bayes factor of the best answer and Bₖ those of its rivals the reported chance is
+Let B be the Bayes factor of the best answer and Bₖ those of its rivals. The reported chance is
 
     p (1 + Σ Bₖ) / B
 
-where p bounds the density of ln B over skies of the hypothesis (`bayes_factor.largest_density`); 1, the bound of
-Markov, if that is not known. It holds for any B > p, below one as well, and so for every rate between 0 and 1. Prior
+where p bounds the density of ln B over skies under the hypothesis (`bayes_factor.largest_density`), or is 1 (Markov's
+bound) if that is unknown. It is valid for any B > p, including B < 1, and so for every limit between 0 and 1. Prior
 knowledge of the attitude enters as `log_gain`:
 
-- the whole sky: B is an average over it; none.
-- a cone about a prior attitude multiplies B and Bₖ by what it narrows the search.
-- a prediction with its covariance: B is an average over that Gaussian (`startracker.tracking.matching`); none.
-- an unknown scale, where T patterns were tried without averaging over attitudes, divides them by T.
+- the whole sky: none, because B is an average over all attitudes.
+- a cone around a prior attitude: B and Bₖ are multiplied by the factor by which it restricts the attitudes.
+- a prediction with its covariance: none, because B is an average over that Gaussian (`startracker.tracking.matching`).
+- an unknown scale: if T patterns were tried without an average over attitudes, B and Bₖ are divided by T.
 
-Each hypothesis, however it was found, is refitted to all observed stars of the field and weighed (`bayes_factor`):
-the more stars it explains, and the fewer its rivals explain, the less probable is a chance match.
+Each hypothesis, however it was found, is fitted to all observed stars of the field and its Bayes factor is computed
+(`bayes_factor`): the more stars it explains, and the fewer its rivals explain, the less probable is a coincidence.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from functools import partial
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.catalog.guide import GuideDatabase
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import focal_slopes
@@ -34,7 +35,6 @@ from startracker.identification.clustering_null import log_excess_density
 from startracker.identification.observed import Identification, Observed, Prior, magnitudes_of
 from startracker.identification.search_state import Stars
 from startracker.identification.verification import MOST_EXTRA, Verified, verify_attitude
-from startracker.kernels import kernel
 from startracker.settings import IdentificationSettings
 from startracker.solution import Solution, Status
 from startracker.trace import Steps
@@ -42,25 +42,27 @@ from startracker.trace import Steps
 SURE_BEYOND = 15.0
 """Margin to the limit (in ln of the chance) beyond which no other hypothesis can compete."""
 WITHIN_PRIOR_BEYOND = 5.0
-"""The same for an answer within a prior, which supports it as well; the whole sky costs up to 10⁹ operations."""
+"""The same margin for an answer within a prior, which supports it as well; searching the whole sky costs up to 10⁹
+operations."""
 
 
 def log_chance(
     log_evidence: float, rivals: Sequence[float] = (), *, log_gain: float = 0.0, log_density: float = 0.0
 ) -> float:
-    """ln of the chance that the best answer is wrong; above 0 if it means nothing.
+    """ln of the chance that the best answer is wrong; above 0 if the answer is meaningless.
 
     Parameters
     ----------
     log_evidence, rivals : float, sequence of float
-        ln B of the best answer, and of its rivals.
+        ln B of the best answer, and those of its rivals.
     log_gain : float
-        ln of the factor on all B: above 0 for a prior, below for patterns tried.
+        ln of the factor on all B: above 0 for a prior, below 0 for patterns tried.
     log_density : float
-        ln p.
+        ln of the bound p on the density.
     """
     if not rivals:
         return log_density - log_gain - log_evidence
+    # log-sum-exp of 1 / gain and all rivals, relative to the highest, because B may be e²⁰⁰⁰.
     highest = max(-log_gain, *rivals)
     total = math.exp(-log_gain - highest) + sum(math.exp(rival - highest) for rival in rivals)
     return log_density + highest + math.log(total) - log_evidence
@@ -74,30 +76,31 @@ def log_limit(settings: IdentificationSettings) -> float:
 def passes_confirmation_threshold(
     found: Identification | Solution, settings: IdentificationSettings, beyond: float = SURE_BEYOND
 ) -> bool:
-    """Whether an answer is accepted with such a margin that no other search can find more evidence."""
+    """Whether an answer is accepted with so large a margin that no other search can find more evidence."""
     return found.status is Status.SOLVED and found.log_false_alarm < log_limit(settings) - beyond
 
 
 def accepts(chance: float, settings: IdentificationSettings) -> bool:
-    """Whether an answer with this `log_chance` is accepted; NaN is not."""
+    """Whether an answer with this `log_chance` is accepted; never for NaN."""
     return chance <= log_limit(settings)
 
 
 def power_of_ten(log_value: float) -> str:
-    """A chance as text, rounded down to a power of ten: e⁻²⁰⁰⁰ is not a float."""
+    """A chance as text, rounded down to a power of ten; e⁻²⁰⁰⁰ cannot be represented as a float."""
     exponent = math.floor(min(log_value, 0.0) / math.log(10.0))
     return f"1e{exponent}" if exponent < 0 else "1"
 
 
 SCALES: tuple[float, ...] = (1.0, 3.0, 10.0)
-"""Multiples of the stated centroid errors that are tried in turn: 0.1 px stated and 1 px real is still identified."""
+"""Multiples of the stated centroid errors that are tried in turn: with 0.1 px stated and 1 px actual, stars are still
+identified."""
 WIDEST_SHARE = 0.01
-"""Largest error assumed, of the field's half diagonal (3.6 px of 512), unless more is stated."""
+"""Largest error that is assumed, as a share of the field's half diagonal (3.6 px of 512), unless more is stated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """An attitude with the pairs it explains.
+    """An attitude with the pairs of stars that it explains.
 
     Parameters
     ----------
@@ -108,11 +111,11 @@ class Hypothesis:
     log_evidence : float
         ln B (`bayes_factor`).
     scale : float
-        Multiple of the stated errors that explains it best.
+        Multiple of the stated errors that fits best.
     in_field : int
-        Guide stars expected on the image, at most as many as can be among the observed.
+        Number of guide stars expected on the image, limited to what can be among the observed ones.
     focal : float
-        Factor of the focal length against the camera's; 1 if that fits.
+        Ratio of the focal length to the camera's; 1 if that fits.
     """
 
     matrix: FloatArray
@@ -123,14 +126,14 @@ class Hypothesis:
     focal: float = 1.0
 
     def agrees_with(self, other: Hypothesis) -> bool:
-        """Whether two hypotheses are one and the same: most of the smaller one's pairs are shared."""
+        """Whether two hypotheses are the same: at least half of the pairs of the smaller one are shared."""
         mine = {(int(o), int(g)) for o, g in self.pairs}
         theirs = {(int(o), int(g)) for o, g in other.pairs}
         return len(mine & theirs) >= 0.5 * max(1, min(len(mine), len(theirs)))
 
 
 def kernel_stars(observed: Observed, guide: GuideDatabase) -> Stars:
-    """Observed stars as kernels take them, kept in `observed`."""
+    """Observed stars in the form that kernels read, cached in `observed`."""
     area, kept = guide.solid_angle_sr, observed.kept
     if area not in kept:
         n, vectors = len(observed), np.ascontiguousarray(observed.vectors, dtype=np.float64)
@@ -144,7 +147,7 @@ def kernel_stars(observed: Observed, guide: GuideDatabase) -> Stars:
 
 @kernel
 def _derived(vectors: FloatArray, flux: FloatArray, area: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """`focal_slopes`, `log_excess_density` and `magnitudes_of` of the stars, in one call."""
+    """`focal_slopes`, `log_excess_density` and `magnitudes_of` of the stars in one call, which compiles one kernel."""
     return focal_slopes(vectors), log_excess_density(vectors, area), magnitudes_of(flux)
 
 
@@ -155,23 +158,23 @@ def verify(
     scale: float = SCALES[-1],
     focal: float | None = None,
 ) -> tuple[Hypothesis | None, int]:
-    """Check an attitude against every observed star: match, refit until the match no longer changes, weigh.
+    """Verify an attitude against every observed star: match, refit until the match no longer changes, compute ln B.
 
     Parameters
     ----------
     matrix : (3, 3)
         ICRS to camera.
     observed, guide
-        The observed stars, and the guide stars.
+        Observed stars, and guide stars.
     scale : float
-        The first gate is 4.5 times this times the stated errors; narrower ones follow, and the one with most evidence
-        is kept.
+        The first gate is 4.5 × `scale` × the stated errors; narrower ones follow, and the one with the largest ln B is
+        used.
     focal : float, optional
-        Factor of the focal length to start from, if that is fitted too (within some 2 %).
+        Initial ratio of the focal length if that is fitted too (within some 2 %).
 
     Returns
     -------
-    Hypothesis, or None if fewer than three stars agree; and the operations that it took.
+    Hypothesis, or None if fewer than three stars agree; and the number of operations.
     """
     start, free = np.ascontiguousarray(matrix, dtype=np.float64), focal is not None
     log_focal = 0.0 if focal is None else math.log(focal)
@@ -194,37 +197,37 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
 
 
 def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
-    """Those of `SCALES` that leave the errors a small share of the field's half diagonal; at least the first."""
+    """Those of `SCALES` with which the errors remain a small share of the field's half diagonal; at least the first."""
     largest = WIDEST_SHARE * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
     return tuple(scale for scale in SCALES if scale <= largest) or SCALES[:1]
 
 
 def too_few(observed: Observed, least: int) -> Identification:
-    """Result if fewer stars were seen than a method needs."""
+    """Result if fewer stars were observed than a method needs."""
     reason = f"{len(observed)} stars seen, {least} are needed"
     return Identification(Status.NO_STARS if len(observed) == 0 else Status.TOO_FEW_STARS, reason)
 
 
 @dataclass
 class HypothesisPool:
-    """Collects the hypotheses of one identification and judges them.
+    """The hypotheses of one identification, and the decision between them.
 
     Parameters
     ----------
     settings : IdentificationSettings
-        For the false-alarm rate and the least number of stars.
+        Supplies the false-alarm rate and the least number of stars.
     prior : Prior, optional
-        The smaller the range of possible attitudes, the fewer chance matches there are.
+        The smaller the range of possible attitudes, the fewer coincidences are possible.
     stars : int
-        Observed stars.
+        Number of observed stars.
     hypotheses : list of Hypothesis
-        Those with the strongest evidence, the strongest first.
+        Those with the strongest evidence, in descending order.
     tried : list
-        What was tried: texts, or functions that return one.
+        What was tried: texts, or functions that return one, which are evaluated only for an explanation.
     operations : int
-        Used so far (`IdentificationSettings.max_operations`).
+        Operations used so far (`IdentificationSettings.max_operations`).
     cut_short : bool
-        Whether something was left out for want of operations.
+        Whether the search was incomplete because its operations were used up.
     """
 
     settings: IdentificationSettings
@@ -240,9 +243,9 @@ class HypothesisPool:
         """ln of the largest chance that is accepted."""
         self._log_density, self._gain = math.log(largest_density(self.stars)), _gain(self.prior)
         self.least_evidence = self._log_density - self.limit - self._gain
-        """ln B from which a hypothesis without rivals is accepted."""
+        """ln B above which a hypothesis without rivals is accepted."""
         self.decisive_evidence = SURE_BEYOND + self.least_evidence
-        """ln B from which a hypothesis without rivals is `decided`."""
+        """ln B above which a hypothesis without rivals is `decided`."""
 
     @property
     def left(self) -> int:
@@ -250,7 +253,7 @@ class HypothesisPool:
         return self.settings.max_operations - self.operations
 
     def spend(self, operations: float) -> bool:
-        """Count the operations of a step; False, and the search is `cut_short`, if there are not as many left."""
+        """Count the operations of a step, or return False and set `cut_short` if fewer are left."""
         if operations > self.left:
             self.cut_short = True
             return False
@@ -265,7 +268,7 @@ class HypothesisPool:
         scale: float = SCALES[-1],
         focal: float | None = None,
     ) -> None:
-        """Add an attitude as `verify` finds it, unless there are no operations left."""
+        """Verify an attitude and add it, unless no operations are left."""
         if self.left <= 0:
             self.cut_short = True
             return
@@ -274,7 +277,7 @@ class HypothesisPool:
         self.add(hypothesis)
 
     def add(self, hypothesis: Hypothesis | None) -> None:
-        """Add a verified hypothesis; one that repeats another replaces it only if it is better."""
+        """Add a verified hypothesis; if it agrees with one that is known, the better of the two is used."""
         if hypothesis is None or not (self.prior is None or self.prior.allows(hypothesis.matrix)):
             return
         for k, known in enumerate(self.hypotheses):
@@ -286,15 +289,15 @@ class HypothesisPool:
             self.hypotheses.append(hypothesis)
         if len(self.hypotheses) > 1:
             self.hypotheses.sort(key=lambda h: -h.log_evidence)
-            del self.hypotheses[20:]
+            del self.hypotheses[20:]  # weaker ones contribute nothing to the sum of rivals
 
     def note(self, text: str | Callable[[], str]) -> None:
-        """Note what was tried, for the explanation."""
+        """Record what was tried, for the explanation."""
         self.tried.append(text)
 
     @property
     def log_chance(self) -> float:
-        """ln of the chance that the best hypothesis is wrong: (1 + Σ B of the others) p / B, p the density."""
+        """ln of the chance that the best hypothesis is wrong: p (1 + Σ B of the others) / B."""
         if not self.hypotheses:
             return 0.0
         best, *others = (h.log_evidence for h in self.hypotheses)
@@ -302,11 +305,11 @@ class HypothesisPool:
 
     @property
     def decided(self) -> bool:
-        """Whether the best one is so far beyond the limit that no other can compete."""
+        """Whether the best hypothesis exceeds the limit so far that no other can compete."""
         return bool(self.hypotheses) and self.log_chance < self.limit - SURE_BEYOND
 
     def judge(self, observed: Observed) -> Identification:
-        """Solved, ambiguous, no match, or ended by the limit on operations, with the reason in words."""
+        """Outcome with its reason: solved, ambiguous, no match, or ended by the limit on operations."""
         found = self._judge(observed)
         if found.status is Status.SOLVED:
             return found
@@ -343,6 +346,7 @@ class HypothesisPool:
         if not enough or chance > self._log_density:
             reason = f"best attitude is no better than chance: {says}"
             return Identification(Status.NO_MATCH, reason, log_false_alarm=min(chance, 0.0), steps=steps)
+        # Without its rivals the best hypothesis would be accepted, so they are the reason.
         if len(self.hypotheses) > 1 and self._log_density - best.log_evidence - self._gain <= self.limit:
             other = self.hypotheses[1]
             reason = f"{says}, but another part of the sky fits {len(other.pairs)} stars nearly as well"
@@ -352,10 +356,11 @@ class HypothesisPool:
 
 
 def _gain(prior: Prior | None) -> float:
-    """What a prior adds to ln B: of all rotations a fraction (ρ − sin ρ)/π is by less than its radius ρ."""
+    """Gain in ln B from a prior: a fraction (ρ − sin ρ)/π of all rotations is by less than its radius ρ."""
     if prior is None:
         return 0.0
     radius = min(prior.radius_rad, math.pi)
+    # The difference cancels for small radii, where the first term of its series is ρ³/6.
     return -math.log((radius - math.sin(radius)) / math.pi if radius > 1e-3 else radius**3 / (6.0 * math.pi))
 
 

@@ -1,14 +1,14 @@
-"""The default identification: a few triangles, then votes on each star, under assumptions that become wider.
+"""Default identification: a few triangles, then votes on each star, under successively wider assumptions.
 
-The effort that a frame needs is not known in advance: a good one is solved by its first triangle within the stated
-errors, another has false stars, errors of pixels, or a focal length that is wrong by a percent. So every assumption
-gets a few triangles of the brightest stars. If they fail, one star after the other is taken as the pole and its
-neighbours vote on it (`pole_votes`), for as many stars as are needed to find whatever could be accepted
+The effort that a frame needs is not known in advance: a good frame is solved by its first triangle within the stated
+errors; another has false stars, errors of pixels, or a focal length that is wrong by a percent. So for every assumption
+a few triangles of the brightest stars are tried first. If they fail, one star after the other is used as the pole and
+its neighbours vote on it (`pole_votes`), for as many stars as are needed to find any field that could be accepted
 (`search_plan`). The first identification beyond doubt ends the search.
 
-The match of pairs is that of Van Bezooijen 1989, the triangle with confirming stars that of Mortari, Samaan, Bruccoleri
-& Junkins 2004, the pole star and its neighbours those of Padgett & Kreutz-Delgado 1997, and the acceptance by the odds
-of the whole field that of Lang et al. 2010.
+Pairs are matched as in Van Bezooijen 1989, triangles with confirming stars as in Mortari, Samaan, Bruccoleri & Junkins
+2004, the pole star and its neighbours as in Padgett & Kreutz-Delgado 1997; the acceptance by the odds of the whole
+field follows Lang et al. 2010.
 """
 
 from __future__ import annotations
@@ -44,34 +44,35 @@ from startracker.settings import AdaptiveSettings, IdentificationSettings
 from startracker.sorting import median
 
 TIGHT, MIDDLE, WIDE = 2.2, 7.0, 16.0
-"""Multiples of the stated errors: 0.15 px stated becomes 0.33, 1 and 2.4 px."""
+"""Multiples of the stated errors: a stated error of 0.15 px becomes 0.33, 1 and 2.4 px."""
 FOCAL_RANGE = 0.025
 SHORT_SIDES = 0.6
-"""Share of the field's diagonal up to which pairs are listed: of a triangle the two shorter sides are looked up."""
+"""Longest side, as a share of the field's diagonal, up to which pairs are listed: only the two shorter sides of a
+triangle are looked up."""
 
 
 class _Assumption(NamedTuple):
-    """What is assumed, and how much is searched with it.
+    """An assumption about errors and focal length, and the effort of the search under it.
 
     Parameters
     ----------
     words : str
-        For the explanation.
+        Description, for the explanation.
     multiple : float
-        Of the stated errors, at most.
+        Largest multiple of the stated errors.
     focal_range : float
         Largest relative error of the focal length.
     residual : float
-        Multiple of the stated errors, at least: smaller ones need no such assumption.
+        Least multiple of the stated errors: smaller ones do not need this assumption.
     chance : float
-        Largest probability that a false triangle or pair is verified.
+        Largest probability that a false triangle or pair is passed on to verification.
     triangles : int
-        Number of the brightest stars' triangles, searched first.
+        Number of triangles of the brightest stars that are tried first.
     miss : float
-        Largest probability that the search by votes misses a field that has just enough true stars to be accepted.
+        Largest probability that the search by votes misses a field with just enough true stars to be accepted.
     work : float
-        Most operations, divided by the root of the number of stars, with the default
-        `IdentificationSettings.max_operations`; in proportion with another.
+        Largest number of operations, divided by the square root of the number of stars, for the default
+        `IdentificationSettings.max_operations`; it is proportional to that setting.
     """
 
     words: str
@@ -90,18 +91,19 @@ _FOCAL = _Assumption(f"focal length wrong by up to {FOCAL_RANGE:.1%}", TIGHT, FO
 _SEVEN = _Assumption("errors seven times as large", WIDE, 0.0, MIDDLE, 0.001, 0, 0.05, 600e3)
 _QUICK, _THOROUGH = (_STATED, _THREE, _FOCAL), (_STATED, _THREE, _FOCAL, _SEVEN)
 _BEYOND_RIVALS, _AS_STATED = 5.0, 2.2
-"""A field that is accepted with this margin (in ln of the chance), and fits within so many stated errors, is not
-searched by votes: a rival would need that much evidence."""
+"""Margin of acceptance (in ln of the chance) and multiple of the stated errors: an accepted field with this margin that
+fits this well is not searched by votes, because a rival would need as much evidence."""
 _MULTIPLES = (1.0, 1.5, 2.25, 3.5)
-"""Multiples of the fewest true stars that could be accepted for which the search by votes is planned, if errors are as
-stated and the fewest cannot be found within its operations."""
+"""Multiples of the fewest true stars that could be accepted for which the search by votes is planned, under the stated
+errors, if the fewest cannot be found within its operations."""
 _WIDE_STARS = 25
 _TRIANGLE_WORK, _TRIANGLE_STAR_WORK = 300.0, 50.0
 _POLE_WORK, _POLE_STAR_WORK = 100.0, 25.0
 _MANY_FOUND, _LEVER = 201, 2.25
-"""Candidates of triangles after which an occupancy map is made, and the multiple of the stars' errors it allows."""
+"""Number of candidates of triangles after which an occupancy map is computed, and the multiple of the stars' errors
+that it covers."""
 _MANY_TRIED, _USUAL_LEVER = 60, 3.0
-"""The same for the votes."""
+"""The same numbers for the votes."""
 _CHANCE_FOR_RATE = 10.0
 _USUAL_OPERATIONS = IdentificationSettings().max_operations
 _NO_PRIOR = np.eye(3)
@@ -119,14 +121,14 @@ def adaptive(
     Parameters
     ----------
     observed : Observed
-        Brightest first.
+        Observed stars, brightest first.
     guide : GuideDatabase
-        As the observer sees it.
+        Guide stars in apparent directions for the observer.
     settings : IdentificationSettings
-        `false_alarm_rate`, `min_stars` and `magnitude_tolerance`; with a `separation_tolerance_deg` this is the only
-        tolerance that is tried.
+        `false_alarm_rate`, `min_stars` and `magnitude_tolerance`; a `separation_tolerance_deg` replaces all tolerances
+        that are tried otherwise.
     prior : Prior, optional
-        Confines guide stars and attitudes.
+        Restricts guide stars and attitudes.
 
     Returns
     -------
@@ -150,7 +152,7 @@ def _assumptions(
     """Assumptions in the order in which they are tried: with the first triangles, and with votes."""
     if settings.separation_tolerance_deg is None:
         return _QUICK, _THOROUGH
-    # the user's tolerance is that of a separation
+    # The user's tolerance is that of a separation, the assumption's an error of a direction.
     error = math.radians(settings.separation_tolerance_deg) / (PAIR_SIGMAS * math.sqrt(2.0))
     multiple = error / float(np.median(observed.sigma_rad))
     given = _STATED._replace(words="separations within the given tolerance", multiple=multiple)
@@ -158,7 +160,7 @@ def _assumptions(
 
 
 class _Search:
-    """The searches of one identification and what they found. Each returns whether to stop."""
+    """Searches of one identification and their results. Each search returns whether to stop."""
 
     def __init__(
         self, observed: Observed, guide: GuideDatabase, settings: AdaptiveSettings, prior: Prior | None
@@ -179,12 +181,12 @@ class _Search:
 
     @cached_property
     def _sigma(self) -> float:
-        """Stated standard error of most stars, rad."""
+        """Median of the stated standard errors, rad."""
         return float(median(self._stars.sigma.copy()))
 
     @cached_property
     def _nearest(self) -> IntArray:
-        """The other stars by their distance from each."""
+        """Indices (N, N − 1) of the other stars in order of their distance from each."""
         return nearest_stars(self._observed.vectors[:MOST_STARS])
 
     @cached_property
@@ -214,25 +216,27 @@ class _Search:
         triples = first_triangles(self._stars.vectors, diagonal, assumption.triangles)
         while effort.tried < len(triples) and not effort.ended:
             self._verifier.map_sky(effort, _MANY_FOUND, _LEVER)
-            some = triples[effort.tried : 2 * effort.tried + 1]  # the first is mostly enough
+            # The number doubles each time, because the first triangle is usually sufficient.
+            some = triples[effort.tried : 2 * effort.tried + 1]
             candidates, work = similar_triangles(some, self._stars, self._guides, self._pairs, limits, self._head)
             effort.tried += len(some)
             self._verifier.take(candidates, effort, work)
         return self._verifier.note(effort, lambda: f"{assumption.words}: {effort.tried} triangles")
 
     def votes(self, assumption: _Assumption) -> bool:
-        """Take one star after the other as the pole on which its neighbours vote."""
+        """Use one star after the other as the pole on which its neighbours vote."""
         if self._exhausted():
             return True
         votes, fewest = self._plan(assumption)
-        # wider assumptions are searched within their share of operations; only an incomplete stated one is reported
+        # Wider assumptions are searched within their share of the operations; only an incomplete search with the stated
+        # errors is reported.
         stated = assumption.residual < 1.0
         if votes.poles == 0:
             self.pool.cut_short |= stated and votes.cut_short
             return False
         limits = self._limits(assumption)
         nearest = self._nearest[:, : votes.neighbours]
-        # besides the pair; one may be missing if there is time for its candidates
+        # The pair itself is not counted; one more may be missing if there is time to verify its candidates.
         enough = fewest - (2 if stated and votes.cut_short else 3)
         effort = SearchBudget(limits, _POLE_WORK, 1.0, _POLE_STAR_WORK, enough=enough)
         for pole in pole_order(votes.poles, len(self._nearest)):
@@ -259,7 +263,7 @@ class _Search:
         return self.pool.left <= 0
 
     def _plan(self, assumption: _Assumption) -> tuple[Plan, int]:
-        """The search by votes, and the fewest true stars with which a field could be accepted."""
+        """Plan of the search by votes, and the fewest true stars with which a field could be accepted."""
         observed, guide = self._observed, self._guide
         n, free = min(len(observed), MOST_STARS), assumption.focal_range > 0.0
         area, sigma = guide.solid_angle_sr, self._sigma
@@ -272,7 +276,7 @@ class _Search:
             4 if free else 3,
         )
         fewest = fewest_matches(evidence, self._price, self.pool.least_evidence)
-        # only the brightest of them are searched
+        # Only the brightest stars are searched, and with them a part of the matches.
         fewest = max(fewest * n // len(observed), 3)
         if fewest > n:
             return Plan(0, 0, 0), fewest
@@ -292,7 +296,7 @@ class _Search:
             largest = float(self._observed.sigma_rad.max())
             slack = pool.prior.radius_rad + 6.0 * assumption.multiple * largest + assumption.focal_range
             matrix, cosine = pool.prior.attitude.as_matrix(), math.cos(min(slack, math.pi))
-        # with a high false-alarm rate candidates that few other stars confirm are verified, too
+        # With a high false-alarm rate, candidates that few other stars confirm are verified as well.
         chance = max(assumption.chance, _CHANCE_FOR_RATE * settings.false_alarm_rate)
         work = min(_work(assumption, len(self._observed)) * settings.max_operations / _USUAL_OPERATIONS, pool.left)
         multiple, focal_range = assumption.multiple, assumption.focal_range
@@ -300,15 +304,18 @@ class _Search:
 
 
 def _work(assumption: _Assumption, stars: int) -> float:
-    """Most operations of a search: with many points only the stated errors are searched in full, as with larger ones
-    too many false candidates pass."""
+    """Largest number of operations of a search.
+
+    With many points, only the search with the stated errors is complete; with larger ones too many false candidates
+    would pass.
+    """
     return assumption.work * math.sqrt(
         stars if assumption.multiple == TIGHT and assumption.focal_range == 0.0 else min(stars, _WIDE_STARS)
     )
 
 
 def _rounded(value: float) -> float:
-    """To two digits, so that plans can be kept."""
+    """Rounded to two digits, so that similar searches share a cached plan."""
     return float(f"{value:.1e}")
 
 
@@ -320,15 +327,19 @@ def _bearings(near: PairList, guide: GuideDatabase) -> tuple[NDArray[np.uint16],
 
 
 def pole_order(poles: int, stars: int) -> list[int]:
-    """Stars that are taken as the pole: half of them the brightest, the others evenly among the rest, as hot pixels may
-    be brighter than all stars."""
+    """Indices of the stars that are used as the pole.
+
+    Half of them are the brightest, the others evenly spaced among the rest, because hot pixels may be brighter than all
+    stars.
+    """
     brightest = (poles + 1) // 2
     rest = poles - brightest
     return [*range(brightest), *(brightest + k * (stars - brightest) // rest for k in range(rest))]
 
 
 def nearest_stars(vectors: FloatArray) -> IntArray:
-    """The others (N, N − 1) of each star (N, 3), the nearest first."""
+    """Indices (N, N − 1) of the other stars for each star (N, 3), nearest first."""
     separation = np.linalg.norm(vectors[:, None] - vectors[None], axis=-1)
+    # Its own distance sorts a star first in its row, which is then dropped.
     np.fill_diagonal(separation, -1.0)
     return np.argsort(separation, axis=1, kind="stable")[:, 1:]

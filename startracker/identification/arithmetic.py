@@ -1,11 +1,11 @@
-"""The array operations of identification by triads, in floating point (Yee 1999, sections 2.3 and 3).
+"""Array operations of identification by triads, in floating point (Yee 1999, sections 2.3 and 3).
 
-`triad_search`, `triad_tables` and `triad_votes` are written once for every `Arithmetic`: that in floating point and
-those in integers (`startracker.fixed_point`) have the same methods, which `FloatArithmetic` documents. `Numbers` are
-arrays or scalars in the format of an arithmetic; the algorithm only passes them on, sorts and compares them. There are
-two formats: *separations* (her 6.10), and *angles* on a circle (her 10.6), in [0, `full_turn`) or, as differences, in
-[−`full_turn`/2, `full_turn`/2). `image` and `sky` are the stars as the arithmetic keeps them, tables included. Index
-arrays `i`, `j`, `k` have equal shapes (P,), and so have the results.
+`triad_search`, `triad_tables` and `triad_votes` are written once for every `Arithmetic`: floating point, documented in
+`FloatArithmetic`, and the integer ones (`startracker.fixed_point`) have the same methods. `Numbers` are arrays or
+scalars in the format of an arithmetic; the algorithm only passes them on, sorts and compares them. There are two
+formats: *separations* (her 6.10), and *angles* on a circle (her 10.6), in [0, `full_turn`) or, for differences, in
+[−`full_turn`/2, `full_turn`/2). `image` and `sky` are the stars in the form that the arithmetic uses, including tables.
+Index arrays `i`, `j`, `k` have equal shapes (P,), and so do the results.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class FloatImage:
     Parameters
     ----------
     xy_px : (N, 2)
-        x right, y up, from the image's centre.
+        x right, y up, relative to the image's centre, px.
     scale_deg : (2,)
         Degrees per pixel.
     """
@@ -64,10 +64,11 @@ class FloatArithmetic:
     Parameters
     ----------
     exact : bool
-        False: the geometry of Yee 1999. Image separations by eq. 2.4 with constant degrees per pixel, enclosed angles
-        of the image planar, catalogue vectors in a plane of plain degrees without cos δ (exact for small fields at low
-        declination; her tolerances cover the rest). True: pixels are those of a tangent plane; separations by eq. D.1,
-        enclosed angles on the sphere, catalogue vectors as great circles leave star i.
+        False: the geometry of Yee 1999. Image separations follow eq. 2.4 with constant degrees per pixel, enclosed
+        angles of the image are planar, and catalogue vectors lie in a plane of plain degrees without cos δ (valid for
+        small fields at low declination; her tolerances cover the rest). True: pixels are those of a tangent plane;
+        separations follow eq. D.1, enclosed angles are those on the sphere, and catalogue vectors leave star i along
+        great circles.
     """
 
     exact: bool = False
@@ -78,7 +79,8 @@ class FloatArithmetic:
         return 360.0
 
     def image(self, xy_px: ArrayLike, scale_deg: ArrayLike) -> FloatImage:
-        """Image stars from centroids (N, 2), x right and y up from the image's centre, and degrees per pixel (2,)."""
+        """Image stars from centroids (N, 2), x right and y up relative to the image's centre, and degrees per pixel
+        (2,)."""
         xy, scale = np.array(xy_px, dtype=float), np.array(scale_deg, dtype=float)
         if xy.ndim != 2 or xy.shape[1] != 2 or not np.isfinite(xy).all():
             raise InputError(f"centroids must be finite pairs (N, 2); got an array of shape {xy.shape}")
@@ -87,8 +89,8 @@ class FloatArithmetic:
         return FloatImage(xy, scale)
 
     def sky(self, ra_deg: ArrayLike, dec_deg: ArrayLike, max_separation_deg: float) -> FloatSky:
-        """Catalogue stars from their coordinates (G,), with tables for separations up to the largest, if any are
-        needed."""
+        """Catalogue stars from their coordinates (G,), with tables for separations up to the largest if the arithmetic
+        needs them."""
         ra, dec = np.array(ra_deg, dtype=float), np.array(dec_deg, dtype=float)
         return FloatSky(ra, dec, radec_to_direction(np.radians(ra), np.radians(dec)))
 
@@ -106,7 +108,7 @@ class FloatArithmetic:
             vectors = _tangent_vectors(image)
             return _vector_separations(vectors[i], vectors[j])
         chi, psi = np.radians((image.xy_px[i] - image.xy_px[j]) * image.scale_deg).T
-        # sin² of the half angle, as the cosine itself says little of small ones
+        # sin² of the half angle, because the cosine itself loses the digits of small angles.
         half = np.sin(chi / 2.0) ** 2 + np.cos(chi) * np.sin(psi / 2.0) ** 2
         return np.asarray(np.degrees(2.0 * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))))
 
@@ -115,14 +117,14 @@ class FloatArithmetic:
         return _vector_separations(sky.vectors[i], sky.vectors[j])
 
     def image_directions(self, image: FloatImage, i: IntArray, j: IntArray) -> FloatArray:
-        """Angles of the vectors from star i to star j, from +x towards +y, in pixels: atan2(Δy, Δx)."""
+        """Angles of the vectors from star i to star j in pixels, counted from +x towards +y: atan2(Δy, Δx)."""
         step = image.xy_px[j] - image.xy_px[i]
         return np.asarray(np.degrees(np.arctan2(step[:, 1], step[:, 0])) % 360.0)
 
     def catalog_directions(self, sky: FloatSky, i: IntArray, j: IntArray) -> FloatArray:
-        """Angles of the vectors from star i to star j, from decreasing right ascension towards north.
+        """Angles of the vectors from star i to star j, counted from decreasing right ascension towards north.
 
-        atan2(Δδ, −Δα), Δα within ±180°; that of the great circle at star i if the geometry is exact.
+        atan2(Δδ, −Δα) with Δα within ±180°, or the bearing of the great circle at star i in the exact geometry.
         """
         east = (sky.ra_deg[j] - sky.ra_deg[i] + 180.0) % 360.0 - 180.0
         if not self.exact:
@@ -133,17 +135,19 @@ class FloatArithmetic:
         return np.asarray(np.degrees(np.arctan2(towards_north, -towards_east)) % 360.0)
 
     def rotations(self, catalog: Numbers, image: Numbers) -> FloatArray:
-        """Angles in [0, `full_turn`) that turn the image vectors counter-clockwise into the catalogue's."""
+        """Angles in [0, `full_turn`) that rotate the image vectors counter-clockwise onto the catalogue's."""
         return np.asarray((catalog - image) % 360.0)
 
     def mean_rotations(self, first: Numbers, second: Numbers) -> FloatArray:
-        """Angles in [0, `full_turn`) half-way between two rotations, on the shorter arc."""
+        """Angles in [0, `full_turn`) half-way between two rotations along the shorter arc."""
+        # Half of a difference in [−180°, 180°) is on the shorter arc; the mean of the two angles may be on the longer
+        # one.
         return np.asarray((first + _between(second, first) / 2.0) % 360.0)
 
     def image_enclosed(
         self, image: FloatImage, i: IntArray, j: IntArray, k: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Inner angles at i, j and k of triangles of image stars: planar, or on the sphere if the geometry is exact."""
+        """Inner angles at i, j and k of triangles of image stars: planar, or on the sphere in the exact geometry."""
         points = _tangent_vectors(image) if self.exact else image.xy_px
         return _inner_angles(points[i], points[j], points[k], self.exact)
 
@@ -183,7 +187,7 @@ def _between(first: Numbers, second: Numbers) -> Numbers:
 
 
 def _tangent_vectors(image: FloatImage) -> FloatArray:
-    """Unit vectors (N, 3) of points of the plane that touches the sphere at the image's centre."""
+    """Unit vectors (N, 3) of points on the plane tangent to the sphere at the image's centre."""
     x, y = (image.xy_px * np.radians(image.scale_deg)).T
     vectors = np.column_stack([x, y, np.ones_like(x)])
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
@@ -202,12 +206,12 @@ def _inner_angles(
 
 
 def _angle_at(vertex: FloatArray, first: FloatArray, second: FloatArray, sphere: bool) -> FloatArray:
-    """Angle at a vertex between two points, 0 if one of them is the vertex itself."""
+    """Angle at a vertex between two points, degrees; 0 if one of them is the vertex itself."""
     u, v = first - vertex, second - vertex
     dot = np.einsum("ij,ij->i", u, v)
     if not sphere:
         return np.asarray(np.degrees(np.arctan2(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]), dot)))
-    # tangents at the vertex: the two chords without their components along the vertex
+    # Tangents at the vertex are the two chords without their components along the vertex.
     along_u, along_v = np.einsum("ij,ij->i", u, vertex), np.einsum("ij,ij->i", v, vertex)
     sine = np.abs(np.einsum("ij,ij->i", vertex, np.cross(u, v)))
     return np.asarray(np.degrees(np.arctan2(sine, dot - along_u * along_v)))

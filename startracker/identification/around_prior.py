@@ -1,4 +1,4 @@
-"""Identification within a prior attitude and, unless that is beyond doubt, over the whole sky."""
+"""Identification within a prior attitude and, unless its result is beyond doubt, over the whole sky."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from startracker.solution import Status
 Identifier = Callable[[Observed, GuideDatabase, IdentificationSettings, Prior | None], Identification]
 
 _DOUBTFUL = (Status.SOLVED, Status.NO_MATCH, Status.AMBIGUOUS, Status.SEARCH_LIMIT)
-"""Results after which the sky outside the prior is searched as well, unless they are beyond doubt."""
+"""Results after which the sky outside the prior is searched too, unless they are beyond doubt."""
 
 
 def identify_around(
@@ -24,7 +24,7 @@ def identify_around(
     settings: IdentificationSettings,
     prior: Prior | None,
 ) -> tuple[Identification, bool]:
-    """The result with the stronger evidence, and whether it contradicts the prior."""
+    """Identification with the stronger evidence, and whether it contradicts the prior."""
     found = identify(observed, guide, settings, prior)
     if (
         prior is None
@@ -36,6 +36,7 @@ def identify_around(
     operations = found.operations + elsewhere.operations
     better = found.status is not Status.SOLVED or elsewhere.log_false_alarm < found.log_false_alarm
     if elsewhere.status is Status.SOLVED and better:
+        # If a pair is common to both results the attitude is the same, and the prior is not contradicted.
         matched = set(map(tuple, elsewhere.pairs.tolist()))
         same = found.status is Status.SOLVED and not matched.isdisjoint(map(tuple, found.pairs.tolist()))
         found = elsewhere if same else _beside_prior(elsewhere)

@@ -1,16 +1,17 @@
-"""The Bayes factor of an attitude: how much more likely the observed stars are on the sky than at random.
+"""Bayes factor of an attitude: how much more likely the observed stars are under it than if they were at random.
 
-Null hypothesis: each of the n observed stars is anywhere on the image, density 1/A. Hypothesis: the camera has some
-attitude, uniform over SO(3); each star is a distractor with probability d, density 1/A, and otherwise one of the K
-brightest guide stars of the field, each with a Gaussian of width σ about its position and a magnitude near the guide
-star's. σ, d, K and the magnitudes' scatter are unknown and averaged over a grid. The integral over the attitudes near
-one is Laplace's, (2π)^(3/2) |N|^(−1/2) / (8π²) with N the normal matrix: the price of having searched everywhere.
+Null hypothesis: each of the n observed stars is anywhere on the image, with the density 1/A. Hypothesis: the camera has
+some attitude, uniform over SO(3). Each star is a distractor with probability d, of density 1/A, and otherwise one of
+the K brightest guide stars of the field, with a Gaussian of width σ about its position and a magnitude near the guide
+star's. σ, d, K and the scatter of the magnitudes are unknown, and averaged over a grid. The integral over the attitudes
+near the given one is Laplace's, (2π)^(3/2) |N|^(−1/2) / (8π²) with N the normal matrix: the price of searching all
+attitudes.
 
-As the average of likelihood ratios the factor B has mean one under the null hypothesis, so that B ≥ t happens by
-chance with probability 1/t at most (Markov), however many attitudes were looked at. It is less by far: that
-probability is the mean of 1/B over those skies of the hypothesis that have B ≥ t, that is, at most p/t with p the
-largest density of ln B over skies with n stars. A star more or less changes ln B by some ten, and there may be any
-number of true ones among the n, which spreads ln B the more the larger n is (`largest_density`).
+As an average of likelihood ratios, B has mean one under the null hypothesis, so that B ≥ t occurs by chance with
+probability 1/t at most (Markov), whatever number of attitudes is tried. The actual probability is far lower: it is the
+mean of 1/B over those skies under the hypothesis that have B ≥ t, and therefore at most p/t, where p is the largest
+density of ln B over skies with n stars. One star more or less changes ln B by about ten, and any number of the n may be
+true stars, which spreads ln B the more, the larger n is (`largest_density`).
 
 Sources: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, section 2.3 (the mixture); MacKay 2003, Information
 Theory, Inference, and Learning Algorithms, ch. 27 (Laplace's method); the bound on chance is ours.
@@ -25,57 +26,58 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.linalg import log_determinant
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median, order_of
 
 SCALES = np.array([0.4, 0.7, 1.25, 2.2, 4.0, 7.0, 12.5, 22.0])
-"""Widths averaged over, in units of the stated errors."""
+"""Widths over which B is averaged, in units of the stated errors."""
 SEEN = ((0.5, 0.1), (0.65, 0.15), (0.8, 0.25), (0.9, 0.3), (0.97, 0.2))
-"""Probabilities that a guide star is seen, and their weights."""
+"""Probabilities that a guide star is observed, and their weights."""
 DISTRACTORS = ((0.3, 0.2), (1.0, 0.2), (3.0, 0.2), (8.0, 0.15), (20.0, 0.1), (60.0, 0.1), (150.0, 0.05))
 """Mean numbers of distractors, and their weights."""
 SCALE_LOG_PRIOR = np.log(np.array([0.1, 0.15, 0.2, 0.2, 0.15, 0.1, 0.06, 0.04]))
 SCATTERS_MAG = np.array([0.12, 0.35])
-"""Scatters of the magnitudes averaged over: a calibrated instrument, and any."""
+"""Scatters of the magnitudes over which B is averaged: a calibrated instrument, and any other."""
 _WIDE_MAG, _WIDE_SHARE, _FLOOR = 1.5, 0.2, 1e-3
 WEIGHINGS = len(SCALES) + 3 * len(SCATTERS_MAG)
-"""Times that `log_bayes_factor` goes through all depths and matches."""
+"""Number of times that `log_bayes_factor` loops over all depths and matches, for counting operations."""
 _SAMPLE = 24
 _USUAL_STARS = 250
 _ROUNDING = 1e-6
-"""More than the rounding errors of ln B."""
+"""Larger than the rounding errors of ln B."""
 _LOST = -37.0
-"""e^−37 is less than half the last digit of a number from 1 on, to which adding it changes nothing."""
+"""e^−37 is less than half the last digit of a number from 1 on, so that adding it changes nothing."""
 _LOG_SPHERE_OF_ROTATIONS = math.log(8.0 * math.pi**2)
 _ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
 
 
 def largest_density(n: int) -> float:
-    """Bound on the density of ln B, per nat, over skies of the hypothesis that show `n` stars.
+    """Bound on the density of ln B, per nat, over skies under the hypothesis that show `n` stars.
 
-    0.2/n, at least 0.012: half as much again as skies drawn from the hypothesis have
+    0.2/n, at least 0.012: 1.5 times the density of skies drawn from the hypothesis
     (tests/statistical/test_false_alarms).
     """
     return max(0.2 / max(n, 3), 0.012)
 
 
-@kernel_part
+@kernel
 def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: FloatArray) -> FloatArray:
-    """Logarithms (scatters, N) of how much better each star's magnitude fits its guide star than any of the field.
+    """ln of the ratio (scatters, N) of the density of each magnitude for its guide star to that for the field.
 
-    A core of the given scatter and wide wings (colour, variability, saturation, blends). The zero point is the median
-    over the matched stars; the star that gains most pays for it. Zero for fewer than three stars.
+    The density has a core of the given scatter and wide wings (colour, variability, saturation, blends). The zero point
+    is the median over the matched stars; to account for this fitted parameter, the largest gain is subtracted. Zero for
+    fewer than three stars.
 
     Parameters
     ----------
     magnitude : (N,)
-        Observed, on the instrument's own zero point; NaN: not known.
+        Observed magnitudes with the instrument's own zero point; NaN if unknown.
     matched : (N,)
-        Position in `field_v` of each star's guide star, or −1.
+        Index in `field_v` of each star's guide star, or −1.
     field_v : (K,)
-        V of the guide stars of the field.
+        V magnitudes of the guide stars of the field.
     """
     out = np.zeros((len(SCATTERS_MAG), len(magnitude)))
     seen, difference, sorted_, count = (
@@ -95,6 +97,7 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
     zero = median(sorted_[:count])
     if not math.isfinite(zero):
         return out
+    # A sample of the field's magnitudes is sufficient for their density.
     stride = max(1, len(field_v) // _SAMPLE)
     by_chance, most = np.empty(len(SCATTERS_MAG)), np.zeros(len(SCATTERS_MAG))
     for k in range(len(seen)):
@@ -119,7 +122,7 @@ def log_magnitude_ratios(magnitude: FloatArray, matched: IntArray, field_v: Floa
 
 @kernel_part
 def _core(difference: float, width: float) -> float:
-    """Density of a magnitude difference of the given scatter, without the wings' share."""
+    """Density of a magnitude difference in the core of the given scatter, without the share of the wings."""
     square = 0.5 * (difference / width) ** 2
     if square > 40.0:  # e^−40 is lost beside `_FLOOR`
         return 0.0
@@ -128,7 +131,7 @@ def _core(difference: float, width: float) -> float:
 
 @kernel_part
 def _wide(difference: float) -> float:
-    """Density of the wings."""
+    """Density of a magnitude difference in the wings."""
     return _WIDE_SHARE / (_WIDE_MAG * _ROOT_TWO_PI) * math.exp(-0.5 * (difference / _WIDE_MAG) ** 2)
 
 
@@ -138,8 +141,8 @@ class CountTable(NamedTuple):
     Parameters
     ----------
     log_weight : (depths + 1, n + 1)
-        ln of the probability that M given ones of D guide stars within the depth are seen, as M given ones of the n,
-        and nothing else except distractors; −inf if M > D. Row D, column M.
+        ln of the probability that M given guide stars of the D within the depth are observed, as M given ones of the n,
+        and that the others are distractors; −inf if M > D. Row D, column M.
     log_total : (depths + 1,)
         ln of the probability of n stars, summed over all depths up to each.
     """
@@ -149,11 +152,11 @@ class CountTable(NamedTuple):
 
 
 def count_table(n: int, depths: int) -> CountTable:
-    """Table for `n` observed stars and up to `depths` guide stars of the field; the last few are kept.
+    """Table for `n` observed stars and up to `depths` guide stars of the field; cached.
 
-    Each guide star within the depth D is seen with probability p, and Poisson-many distractors (mean λ); p and λ
-    are averaged over `SEEN` and `DISTRACTORS`: an ordered list of n stars with M given matches has the weight
-    e^(−λ) λ^(n−M) p^M (1 − p)^(D−M) / n!, whose averages over p and over λ are each other's factors.
+    Each guide star within the depth D is observed with probability p, in addition to distractors with a Poisson
+    distribution of mean λ; p and λ are averaged over `SEEN` and `DISTRACTORS`. An ordered list of n stars with M given
+    matches has the weight e^(−λ) λ^(n−M) p^M (1 − p)^(D−M) / n!; its averages over p and λ are independent factors.
     """
     return (_usual_table if n <= _USUAL_STARS else _large_table)(n, depths)
 
@@ -180,20 +183,20 @@ _usual_table = lru_cache(maxsize=128)(_count_table)
 _large_table = lru_cache(maxsize=4)(_count_table)  # megabytes each
 
 
-@kernel_part
+@kernel
 def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: CountTable) -> float:
     """ln of the likelihood ratio of the matches, averaged over the depth of the image and the stars that are missing.
 
-    Of the matches with guide stars within a depth the M best are taken: other choices would only add.
+    For each depth, the best number of matches with guide stars within it is used; other selections would only add to B.
 
     Parameters
     ----------
     gain : (m,)
-        ln of A times the density of each matched star's position and magnitude, largest first.
+        ln of A times the density of each matched star's position and magnitude, in descending order.
     rank : (m,)
-        Rank of its guide star in the field's order of brightness, from 0.
+        Rank of its guide star in the field by brightness, from 0.
     in_field : int
-        Guide stars of the field, K.
+        Number of guide stars of the field, K.
     counts : CountTable
     """
     highest, total = -math.inf, 0.0
@@ -213,6 +216,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
         value = log_weight[0]
         for m in range(1, matches + 1):
             value = max(value, cumulative[m] + log_weight[m])
+        # log-sum-exp over the depths; terms below the last digit are skipped.
         if value > highest:
             total = total * math.exp(highest - value) + 1.0 if total > 0.0 else 1.0
             highest = value
@@ -223,18 +227,18 @@ def log_assignments(gain: FloatArray, rank: IntArray, in_field: int, counts: Cou
 
 
 class Matched(NamedTuple):
-    """Matched observed stars.
+    """Observed stars matched with guide stars.
 
     Parameters
     ----------
     distance : (N,)
-        From each observed star to its guide star, rad; inf if it has none.
+        Distance from each observed star to its guide star, rad; inf if it has none.
     rank : (N,)
-        Rank of that guide star in the field's order of brightness; any number if it has none.
+        Rank of that guide star in the field by brightness; arbitrary if there is none.
     sigma : (N,)
         Stated standard error on one axis, rad.
     log_ratio : (scatters, N)
-        Of `log_magnitude_ratios`.
+        Result of `log_magnitude_ratios`.
     """
 
     distance: FloatArray
@@ -245,12 +249,13 @@ class Matched(NamedTuple):
 
 @kernel_part
 def _log_volume(information: FloatArray, scale: float, focal_sigma: float) -> float:
-    """ln of the share of all attitudes (and focal lengths) that fit, with errors of `scale` times the stated ones."""
+    """ln of the share of all attitudes (and focal lengths) that fit, for errors of `scale` times the stated ones."""
     unknowns = information.shape[0]
     normal = np.empty((unknowns, unknowns))
     for i in range(unknowns):
         for j in range(unknowns):
             normal[i, j] = information[i, j] / scale**2
+    # The focal length has a Gaussian prior, which regularises the normal matrix and is divided out of the volume.
     if unknowns == 4:
         normal[3, 3] += 1.0 / focal_sigma**2
     volume = 0.5 * unknowns * math.log(2.0 * math.pi) - 0.5 * log_determinant(normal) - _LOG_SPHERE_OF_ROTATIONS
@@ -261,8 +266,10 @@ def _log_volume(information: FloatArray, scale: float, focal_sigma: float) -> fl
 
 @kernel_part
 def _most_gained(matched: Matched, seen: IntArray, scale: float, other: float) -> float:
-    """Most by which `_log_matches` without magnitudes can grow from errors of `scale` to `other` times the stated ones:
-    the sum over the stars whose density there is larger."""
+    """Upper bound on the increase of `_log_matches` without magnitudes, from errors of `scale` to `other` times σ.
+
+    It is the sum over the stars whose density increases.
+    """
     total, wider = 0.0, 2.0 * math.log(other / scale)
     for star in seen:
         square = 0.5 * (matched.distance[star] / matched.sigma[star]) ** 2
@@ -274,7 +281,8 @@ def _most_gained(matched: Matched, seen: IntArray, scale: float, other: float) -
 def _log_matches(
     matched: Matched, seen: IntArray, area: float, scale: float, scatter: int, in_field: int, counts: CountTable
 ) -> float:
-    """`log_assignments` with errors of `scale` times the stated ones; `scatter` of the magnitudes, −1: without."""
+    """`log_assignments` for errors of `scale` times the stated ones; `scatter` indexes that of the magnitudes, −1 for
+    none."""
     gain, order = np.empty(len(seen)), np.empty(len(seen), np.int64)
     largest_first, ranks = np.empty(len(seen)), np.empty(len(seen), np.int64)
     spread, log_density = 0.0, 0.0
@@ -293,25 +301,25 @@ def _log_matches(
     return value
 
 
-@kernel_part
+@kernel
 def log_bayes_factor(
     matched: Matched, information: FloatArray, in_field: int, area: float, focal_sigma: float, counts: CountTable
 ) -> tuple[float, float]:
-    """ln B of an attitude, and the multiple of the stated errors that explains it best.
+    """ln B of an attitude, and the multiple of the stated errors that fits best.
 
     Parameters
     ----------
     matched : Matched
     information : (3, 3) or (4, 4)
-        Normal matrix of attitude (and focal length) at the stated errors.
+        Normal matrix of attitude (and focal length) for the stated errors.
     in_field : int
-        Guide stars of the field, K.
+        Number of guide stars of the field, K.
     area : float
-        Of the image, sr.
+        Solid angle of the image, sr.
     focal_sigma : float
         Prior standard deviation of ln of the focal length, if that is fitted too.
     counts : CountTable
-        For N stars and at least as many guide stars as the field has.
+        Table for N stars, and for at least as many guide stars as the field has.
     """
     seen, count = np.empty(len(matched.distance), np.int64), 0
     for star in range(len(matched.distance)):
@@ -320,18 +328,18 @@ def log_bayes_factor(
     seen = seen[:count]
     if count < 3 or in_field < 1:
         return -math.inf, 1.0
-    # the width that fits best, without magnitudes
+    # The width that fits best is determined without magnitudes.
     volumes, best, highest = np.empty(len(SCALES)), 0, -math.inf
     for s in range(len(SCALES)):
         volumes[s] = _log_volume(information, SCALES[s], focal_sigma) + SCALE_LOG_PRIOR[s]
-        # no match can gain more than the sum of what each gains alone: most of the larger widths need no more
+        # The sum of the largest gains of each match is an upper bound, which excludes most of the larger widths.
         gain = volumes[s] - volumes[best] + _most_gained(matched, seen, SCALES[best], SCALES[s])
         if s > 0 and gain < -_ROUNDING:
             continue
-        value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], -1, in_field, counts)
+        value = volumes[s] + _log_matches(matched, seen, area, SCALES[s], np.int64(-1), in_field, counts)
         if value > highest:
             best, highest = s, value
-    # the widths next to the best one add the most; those left out could only make B larger
+    # Only the best width and its neighbours are summed; the others would only make B slightly larger.
     highest, total = -math.inf, 0.0
     for s in range(max(best - 1, 0), min(best + 2, len(SCALES))):
         for scatter in range(len(SCATTERS_MAG)):

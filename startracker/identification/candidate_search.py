@@ -1,4 +1,4 @@
-"""Candidates confirmed by the other stars and verified against all, within the operations of a search."""
+"""Confirmation of candidates by the other stars, and verification against all, within a budget of operations."""
 
 from __future__ import annotations
 
@@ -14,31 +14,30 @@ from startracker.identification.acceptance import HypothesisPool, hypothesis_of
 from startracker.identification.other_stars import NO_OCCUPANCY, Confirmation, Occupancy, next_confirmed, occupancy_map
 from startracker.identification.search_state import Candidates, Limits, Stars
 from startracker.identification.verification import GATE_SIGMAS, Verified, is_known, verify_attitude
-from startracker.kernels import kernel
 from startracker.sorting import median
 
 _VERIFY_FROM = 7.0
-"""Smallest multiple of the stated errors with which a verification begins."""
+"""Least multiple of the stated errors with which a verification begins."""
 _LEAST_LOG_B, _POOR_FIT, _BETTER = -5.0, 2.0, 3.0
-"""ln B above which a hypothesis is kept; if errors are so many times the stated ones, the focal length may be wrong: it
-is fitted, and has to gain this much."""
+"""ln B above which a hypothesis is kept; multiple of the stated errors above which the focal length may be wrong and is
+fitted; and the gain in ln B by which that fit must be better."""
 _SAME_SIGMAS = 3.0
 _MAP_WORK = 20.0
-"""Operations per guide star of an occupancy map."""
+"""Operations per guide star for computing an occupancy map."""
 
 
 @dataclass
 class SearchBudget:
-    """What one search may do, and what it has done.
+    """Limits of one search, and the effort spent so far.
 
     Parameters
     ----------
     limits : Limits
     candidate_work : float
-        Operations of a candidate.
+        Operations per candidate.
     star_work, mapped_work : float
-        Of each further star tested for it, and of one that the occupancy map does not exclude; without a map
-        ``star_work * (1 + mapped_work)`` are counted.
+        Operations per further star that is tested for a candidate, and per star that the occupancy map does not
+        exclude; without a map, ``star_work * (1 + mapped_work)`` is counted.
     enough : int
         See `Confirmation`.
     """
@@ -62,14 +61,13 @@ class SearchBudget:
 
     @property
     def confirmation(self) -> Confirmation:
-        """What is required of a candidate."""
+        """Requirements for a candidate."""
         share = self.occupancy.share if self.occupancy.reach2 > 0.0 else self.star_work
         star_work = self.star_work + self.mapped_work * share
         gate = GATE_SIGMAS * self.limits.scale
         return Confirmation(gate, self.limits.chance, self.enough, self.occupancy, self.candidate_work, star_work)
 
 
-@kernel
 def next_verified(
     candidates: Candidates,
     start: int,
@@ -80,19 +78,20 @@ def next_verified(
     limits: Limits,
     work: float,
 ) -> tuple[int, Verified, float]:
-    """First of the candidates from `start` on that other stars confirm and whose evidence is above the least.
+    """First candidate from `start` on that other stars confirm and whose ln B exceeds the least.
 
-    A poor fit is repeated with the focal length free. Attitudes that are known already (K, 3, 3) are left out.
+    A poor fit is repeated with the focal length free. Attitudes that are already known (K, 3, 3) are skipped.
 
     Parameters
     ----------
     work : float
-        Operations so far; the search ends at those of `limits`.
+        Operations so far; the search ends when those of `limits` are reached.
 
     Returns
     -------
-    Number of the candidate after it; what it explains, with ln B below the least if there is none; operations.
+    Index of the next candidate; the verified hypothesis, with ln B below the least if there is none; operations.
     """
+    # 1 − cos of the angle, to second order; two attitudes closer than this are the same.
     least_cosine = 1.0 - 0.5 * (_SAME_SIGMAS * limits.scale * stars.sigma[0]) ** 2
     scale, free, at = max(limits.scale, _VERIFY_FROM), limits.focal_range > 0.0, start
     found = Verified(-np.inf, np.empty((3, 3)), 0.0, scale, 0, np.empty((0, 2), np.int64), 0)
@@ -101,7 +100,7 @@ def next_verified(
         work += taken
         if at < len(candidates.focal) and not is_known(matrix, known, least_cosine):
             focal = candidates.focal[at]
-            for attempt in range(1 if free else 2):  # one call: it is compiled once as a part of this kernel
+            for attempt in range(1 if free else 2):
                 other = verify_attitude(matrix, focal, stars, sky, scale, free or attempt > 0)
                 work += other.operations
                 if attempt == 0 or other.log_b > found.log_b + _BETTER:
@@ -114,15 +113,15 @@ def next_verified(
 
 
 class Verifier:
-    """Takes verified candidates to the hypothesis pool."""
+    """Passes verified candidates on to the hypothesis pool."""
 
     def __init__(self, pool: HypothesisPool, guide: GuideDatabase, stars: Stars) -> None:
         self.pool, self._sky, self._stars = pool, guide.view, stars
         self._known, self._latest = np.empty((0, 3, 3)), list[FloatArray]()
 
     def map_sky(self, effort: SearchBudget, many: int, lever: float) -> None:
-        """Make an occupancy map once there were many candidates, for stars whose position has an error of `lever` times
-        their own."""
+        """Compute an occupancy map if there have been many candidates, for position errors of `lever` times the stars'
+        own."""
         if effort.occupancy.reach2 > 0.0 or effort.found < many:
             return
         gate = GATE_SIGMAS * effort.limits.scale
@@ -130,7 +129,7 @@ class Verifier:
         effort.work += _MAP_WORK * len(self._sky.directions)
 
     def take(self, candidates: Candidates, effort: SearchBudget, work: float) -> None:
-        """Verify those candidates that other stars confirm."""
+        """Verify the candidates that other stars confirm."""
         effort.work += work
         effort.found += len(candidates.focal)
         at = 0
@@ -147,7 +146,7 @@ class Verifier:
                 effort.decided |= found.log_b > self.pool.decisive_evidence
 
     def note(self, effort: SearchBudget, words: Callable[[], str]) -> bool:
-        """Note what a search did; whether the pool is decided, so that further searches are not needed."""
+        """Record a search; returns whether the pool is decided, so that further searches are not needed."""
         self.pool.operations += int(effort.work)
         found, kept = effort.found, effort.kept
         self.pool.note(lambda: f"{words()}, {found} similar ones in the sky, {kept} with some evidence")

@@ -1,17 +1,17 @@
-"""The null hypothesis of clustered points: how much denser than evenly spread the observed points are.
+"""Null hypothesis of clustered points: how much denser than uniformly distributed the observed points are.
 
-A cluster of points fits an open cluster of stars far more easily than points spread over the whole image do: with one
-cluster on the other each point has many neighbours to agree with. Under the null hypothesis of evenly spread points
-(`bayes_factor`) that looks like evidence. So the points' own density is a second null hypothesis: point i has the
-density of the others there, 0.9 q(xᵢ) + 0.1/A with
+A cluster of points fits an open cluster of stars far more easily than points all over the image do: if the two clusters
+coincide, each point has many neighbours to agree with. Under the null hypothesis of uniformly distributed points
+(`bayes_factor`) this looks like evidence. So the density of the points themselves is a second null hypothesis: point i
+has the density of the other points at its position, 0.9 q(xᵢ) + 0.1/A with
 
     q(xᵢ) = 1/(n − 1) Σ_{j ≠ i} 1/(π h²) (1 + d²ᵢⱼ/h²)⁻²
 
-for each width h, and for the mean over the widths. With B_m the Bayes factor against the null hypothesis m the least of
-all B_m is taken: whichever m holds, P(min B ≥ t) ≤ P(B_m ≥ t) ≤ 1/t.
+for each width h, and for the mean over the widths. Let B_m be the Bayes factor against null hypothesis m. The least of
+all B_m is used, because whichever m is true, P(min B ≥ t) ≤ P(B_m ≥ t) ≤ 1/t.
 
-Source of the leave-one-out density: Silverman 1986, Density Estimation for Statistics and Data Analysis, section 3.4.2;
-the kernel is the bivariate t distribution with two degrees of freedom, whose tails let one width serve clumps of many.
+Source of the leave-one-out density: Silverman 1986, Density Estimation for Statistics and Data Analysis, section 3.4.2.
+The kernel is the bivariate t distribution with two degrees of freedom; its tails allow one width for clumps of many.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
-from startracker.kernels import kernel_part
 
 WIDTHS = 8
-"""Each half of the one before, the first being the points' root mean square distance from their middle."""
+"""Number of widths, each half of the one before; the first is the points' rms distance from their mean."""
 _EVEN = 0.1
-"""Share of the points that lie anywhere."""
+"""Share of the points that are uniformly distributed."""
 
 
-@kernel_part
+@kernel
 def log_excess_density(points: FloatArray, area: float) -> FloatArray:
     """ln of the density of the other points at each point, times the area: above 0 where the points are crowded.
 
     Parameters
     ----------
     points : (N, D)
-        Pixels, or unit vectors; distances are chords.
+        Pixels, or unit vectors (distances are then chords).
     area : float
-        Of the image, in the unit of the points squared.
+        Area of the image, in the unit of the points squared.
 
     Returns
     -------
     (WIDTHS + 1, N)
-        One row a width; the last is that of the mean over the widths.
+        One row for each width; the last is that of the mean over the widths.
     """
     n = len(points)
     out = np.zeros((WIDTHS + 1, n))
@@ -70,6 +70,7 @@ def log_excess_density(points: FloatArray, area: float) -> FloatArray:
             for axis in range(points.shape[1]):
                 d2 += (points[i, axis] - points[j, axis]) ** 2
             for width in range(WIDTHS):
+                # The kernel (1 + d²/h²)⁻² / h², written with one division.
                 value = h2[width] / ((h2[width] + d2) * (h2[width] + d2))
                 sums[i, width] += value
                 sums[j, width] += value
@@ -85,7 +86,9 @@ def log_excess_density(points: FloatArray, area: float) -> FloatArray:
 
 @kernel_part
 def clustering_price(excess: FloatArray, matched: IntArray) -> float:
-    """By how much ln B of a match is less under the null hypothesis that explains the matched points best; 0 or more.
+    """Difference of ln B from the null hypothesis of uniform points to the one that explains the matched points best.
+
+    It is 0 or positive.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Tables of the integer verification (`startracker.fixed_point.verification`), made once in floating point.
+"""Tables of the integer verification (`startracker.fixed_point.verification`), computed in floating point.
 
-The priors are those of `startracker.identification.bayes_factor`. Each entry is rounded to the side on which the Bayes
-factor comes out smaller, so that with B the factor in integers and b the exact one of the same matches B ≤ b, and the
-chance that a list without stars reaches B ≥ t is 1/t at most (Markov's inequality, as b has mean one).
+The priors are those of `startracker.identification.bayes_factor`. Each entry is rounded in the direction in which the
+Bayes factor is smaller. So the factor B in integers and the exact one b of the same matches satisfy B ≤ b, and the
+probability that a list without stars reaches B ≥ t is 1/t at most (Markov's inequality, because b has mean one).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.bayes_factor import DISTRACTORS, SCALE_LOG_PRIOR, SCALES, SEEN, count_table
 
 MAX_POINTS = 24
-"""Brightest points of a list that are verified."""
+"""Number of the brightest points of a list that are verified."""
 _WIDTHS = 5
-"""Of `SCALES` that are averaged over: 0.4 to 4 times the stated error."""
+"""Number of `SCALES` over which B is averaged: 0.4 to 4 times the stated error."""
 _GATES = (18.0, 9.0, 4.5)
-"""Radii of the matching, in stated errors: 4.5 times the widths 4, 2 and 1."""
+"""Radii of the matching in stated errors: 4.5 times the widths 4, 2 and 1."""
 _SPREAD = 1.0 / 64.0
-"""Least determinant of the second moments of the matched points, of that of an evenly filled image: eight times less
-area. A round clump needs a radius of a fifth of the image's side to pass."""
+"""Least determinant of the second moments of the matched points, relative to that of a uniformly filled image: an
+eighth of the area. A round clump needs a radius of a fifth of the image's side."""
 _MOST_FOCAL_PX, _MOST_ERROR_PX = 65536.0, 5.0
-"""For which the products fit into 64 bits."""
+"""Limits within which the products fit into 64 bits."""
 _CUT_WIDTHS = 16.0
 
 
@@ -45,13 +45,13 @@ class IntegerCamera:
     Parameters
     ----------
     size_px, fov_deg : (int, int), (float, float)
-        Across and down.
+        Across and down, pixels and degrees.
     centroid_error_px : float
-        Standard error of a centroid on one axis; 0.4 to 4 times this is allowed for.
+        Standard error of a centroid on one axis; 0.4 to 4 times this is allowed.
     false_alarm_rate : float
-        Probability that a list without a sky is accepted.
+        Probability that a list without stars is accepted.
     resolution_px : float
-        Stars closer than this are one in the image.
+        Stars closer than this are not separated in the image.
     """
 
     size_px: tuple[int, int]
@@ -87,13 +87,13 @@ class IntegerCamera:
 
     @property
     def focal_px(self) -> tuple[float, float]:
-        """Focal lengths across and down."""
+        """Focal lengths across and down, px."""
         x, y = (n / 2.0 / math.tan(math.radians(a) / 2.0) for n, a in zip(self.size_px, self.fov_deg, strict=True))
         return x, y
 
     @property
     def scale_deg(self) -> tuple[float, float]:
-        """Degrees a pixel across and down, which separations are measured with."""
+        """Degrees per pixel across and down, with which separations are measured."""
         return self.fov_deg[0] / self.size_px[0], self.fov_deg[1] / self.size_px[1]
 
 
@@ -104,13 +104,13 @@ class GuideStars:
     Parameters
     ----------
     directions : (G, 3)
-        Unit vectors; of stars that are one in the image the mean weighted by their light.
+        Unit vectors; for stars that the camera does not separate, the mean weighted by their light.
     first : int (G,)
-        Index in the sub-catalogue of each, of several stars that of the brightest.
+        Index of each in the sub-catalogue; for several stars, that of the brightest.
     several : bool (G,)
-        Whether it is more than one star.
+        Whether it is a blend of several stars.
     of_star : int (N,)
-        The guide star to which each star of the sub-catalogue belongs.
+        Guide star to which each star of the sub-catalogue belongs.
     """
 
     directions: FloatArray
@@ -120,7 +120,7 @@ class GuideStars:
 
 
 def merged_stars(ra_deg: ArrayLike, dec_deg: ArrayLike, v_mag: ArrayLike, resolution_rad: float) -> GuideStars:
-    """Stars of a sub-catalogue, those that hang together by separations below the resolution as one."""
+    """Guide stars of a sub-catalogue; chains of stars with separations below the resolution are merged."""
     vectors = radec_to_direction(np.radians(np.asarray(ra_deg, float)), np.radians(np.asarray(dec_deg, float)))
     flux = 10.0 ** (-0.4 * np.asarray(v_mag, dtype=float))
     label = np.arange(len(vectors))
@@ -142,13 +142,13 @@ def merged_stars(ra_deg: ArrayLike, dec_deg: ArrayLike, v_mag: ArrayLike, resolu
 
 
 def verification_tables(camera: IntegerCamera, guide: GuideStars) -> Tables:
-    """Constants and tables of one camera and its guide stars."""
+    """Constants and tables for one camera and its guide stars."""
     across, down = camera.focal_px
     ratio, one, unit = across / down, 1 << PLANE_BITS, 1 << LOG_BITS
     half = np.array([camera.size_px[0] / 2.0, camera.size_px[1] / 2.0 * ratio])
     widths = SCALES[:_WIDTHS] * camera.centroid_error_px
     area = 4.0 * half[0] * half[1]
-    # the sphere's normal matrix is that of the plane times up to this for each of the three angles
+    # The normal matrix on the sphere is that of the plane, times at most this factor for each of the three angles.
     stretch = 1.0 + float((half**2).sum()) / across**2
     log_volume = (
         1.5 * math.log2(2.0 * math.pi)
@@ -197,7 +197,8 @@ def _log2_seeing(depths: int) -> FloatArray:
 
 
 def _totals(depths: int) -> IntArray:
-    """log₂ of n! times the probability of n stars, upwards; nothing is accepted where there is no guide star."""
+    """log₂ of n! times the probability of n stars, rounded up; zero, so that nothing is accepted, without guide
+    stars."""
     out = np.zeros((MAX_POINTS + 1, depths + 1), dtype=np.int64)
     for n in range(3, MAX_POINTS + 1):
         out[n, 1:] = _up((count_table(n, depths).log_total[1:] + gammaln(n + 1.0)) / math.log(2.0))
@@ -205,8 +206,10 @@ def _totals(depths: int) -> IntArray:
 
 
 def _down(value: ArrayLike) -> IntArray:
+    """Fixed-point numbers with `LOG_BITS` bits of fraction, rounded down."""
     return np.asarray(np.floor(np.asarray(value) * (1 << LOG_BITS)), dtype=np.int64)
 
 
 def _up(value: ArrayLike) -> IntArray:
+    """Fixed-point numbers with `LOG_BITS` bits of fraction, rounded up."""
     return np.asarray(np.ceil(np.asarray(value) * (1 << LOG_BITS)), dtype=np.int64)

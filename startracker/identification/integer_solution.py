@@ -1,9 +1,9 @@
-"""Centroids to attitude in integers: triads, votes, plate constants, verification (Yee 1999, chapters 2 and 3).
+"""Attitude from centroids in integers: triads, votes, plate constants, verification (Yee 1999, chapters 2 and 3).
 
-What she left to floating point, the attitude, is in 64-bit integers here. The groups of triads are hypotheses: each of
-the largest is given an attitude, which is checked against all points of the list and all guide stars of the field
-(`startracker.fixed_point.verification`), and is an answer only where chance explains it at the false-alarm rate at
-most. The C that `startracker.integer_export` writes gives the same answers bit for bit.
+The attitude, which Yee computes in floating point, is computed in 64-bit integers here. The groups of triads are
+hypotheses: each of the largest gives an attitude, which is tested against all points of the list and all guide stars of
+the field (`startracker.fixed_point.verification`), and is accepted only if the probability of a coincidence is at most
+the false-alarm rate. The C that `startracker.integer_export` writes gives the same results bit for bit.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ __all__ = [
 
 IntegerStatus = Literal["solved", "too_few_stars", "no_match", "ambiguous", "outside_image", "overflow", "search_limit"]
 STATUSES: tuple[IntegerStatus, ...] = get_args(IntegerStatus)
-"""In the order of the C export's numbers."""
+"""Statuses in the order of their numbers in the C export."""
 IntegerReason = Literal[
     "accepted",
     "fewer_than_three",
@@ -65,7 +65,8 @@ IntegerReason = Literal[
     "too_many_triads",
 ]
 REASONS: tuple[IntegerReason, ...] = get_args(IntegerReason)
-"""The same for reasons; from ``no_triads`` to ``weak_evidence`` in the order of the stages."""
+"""Reasons in the order of their numbers in the C export; from ``no_triads`` to ``weak_evidence`` in the order of the
+stages."""
 _WORDS: dict[IntegerReason, str] = {
     "accepted": "accepted",
     "fewer_than_three": "fewer than three points",
@@ -81,36 +82,36 @@ _WORDS: dict[IntegerReason, str] = {
     "too_many_triads": "more triads pass the tests than there is room for",
 }
 MAX_STARS = 12
-"""Brightest points that make triads (Yee 1999, section 2.3.4)."""
+"""Number of the brightest points that form triads (Yee 1999, section 2.3.4)."""
 MAX_TRIADS = 4096
-"""Triads that the C export has room for."""
+"""Largest number of triads for which the C export has memory."""
 MAX_GROUPS = 12
-"""Largest groups of triads that are looked at."""
+"""Number of the largest groups of triads that are tested."""
 
 
 @dataclass(frozen=True, eq=False)
 class IntegerSolution:
-    """Answer of the integer tracker.
+    """Result of the integer tracker.
 
     Parameters
     ----------
     status : str
-        One of `STATUSES`. Everything but ``solved`` says nothing of the attitude.
+        One of `STATUSES`. Only ``solved`` comes with an attitude.
     code : str
-        Why, one of `REASONS`.
+        Reason, one of `REASONS`.
     reason : str
-        The same in words.
+        The reason in words.
     numbers : int array, shape (N,)
-        Catalogue number of each point, plus 10,000 where several stars are one in the image; 0 where unmatched, and
-        for all unless solved.
+        Catalogue number of each point, plus 10,000 if several stars are merged in the image; 0 if unmatched, and for
+        all points unless solved.
     triads : int
-        Triads of the group that won; 0 unless solved.
+        Number of triads of the winning group; 0 unless solved.
     matched : int
-        Points that fit the best attitude; solved or not.
+        Number of points that fit the best attitude, solved or not.
     evidence : int
-        log₂ of its Bayes factor, 12 bits of fraction; 0 where no attitude was weighed.
+        log₂ of its Bayes factor, with 12 bits of fraction; 0 if no attitude was evaluated.
     attitude : IntegerAttitude or None
-        When solved.
+        Attitude if solved.
     """
 
     status: IntegerStatus
@@ -125,20 +126,20 @@ class IntegerSolution:
 
 @dataclass(frozen=True, eq=False)
 class IntegerTracker:
-    """Everything in integers that one camera and sub-catalogue need.
+    """All integer tables for one camera and sub-catalogue.
 
     Parameters
     ----------
     camera : IntegerCamera
-        What the rest was made for.
+        Camera for which the tables were computed.
     tables : TriadTables
-        Of `integer_tables`.
+        Result of `integer_tables`.
     verification : Tables
         Constants and guide stars of the verification.
     guide_number : (G,)
-        Catalogue number of each guide star, plus 10,000 for several that are one.
+        Catalogue number of each guide star, plus 10,000 for merged stars.
     guide_of_star : (N,)
-        Guide star that each star of the sub-catalogue belongs to.
+        Guide star to which each star of the sub-catalogue belongs.
     """
 
     camera: IntegerCamera
@@ -162,7 +163,7 @@ class IntegerTracker:
         Raises
         ------
         InputError, FixedPointOverflow
-            As `TriadTables.build`; a largest separation of 32° or more.
+            As for `TriadTables.build`; also for a largest separation of 32° or more.
         """
         of_kind("camera", camera, IntegerCamera)
         given = real_array("star_id", star_id, (None,))
@@ -182,41 +183,42 @@ class IntegerTracker:
 def integer_tables(
     star_id: ArrayLike, ra_deg: ArrayLike, dec_deg: ArrayLike, v_mag: ArrayLike, max_separation_deg: float
 ) -> TriadTables:
-    """Databases in integers: those of `TriadTables.build`, with the order of brightness in place of magnitudes.
+    """Integer databases: those of `TriadTables.build`, with ranks by brightness in place of magnitudes.
 
     Raises
     ------
     InputError, FixedPointOverflow
-        As there; a largest separation of 32° or more.
+        As for `TriadTables.build`; also for a largest separation of 32° or more.
     """
     tables = TriadTables.build(FixedArithmetic(), star_id, ra_deg, dec_deg, v_mag, max_separation_deg)
     rank = np.empty(len(tables), dtype=np.int64)
+    # The inverse of the permutation that sorts by brightness; equal magnitudes are ranked by index.
     rank[np.lexsort((np.arange(len(tables)), tables.v_mag))] = np.arange(len(tables))
     return replace(tables, v_mag=rank)  # type: ignore[arg-type]  # only ever compared
 
 
 def solve_integers(tracker: IntegerTracker, xy_px: ArrayLike, limits: TriadLimits | None = None) -> IntegerSolution:
-    """Identify stars by triads, find the attitude and verify it, after the tables in integers only.
+    """Identify stars by triads, compute the attitude and verify it, using integers only once the tables exist.
 
     Parameters
     ----------
     tracker : IntegerTracker
         Camera and tables.
     xy_px : array_like, shape (N, 2)
-        Centroids without distortion, brightest first, x right and y up from the image's centre: pixels, or integers of
-        10.22. The first 12 make triads, the first 24 are verified.
+        Undistorted centroids, brightest first, x right and y up relative to the image's centre: pixels, or integers of
+        the format 10.22. The first 12 form triads, the first 24 are verified.
     limits : TriadLimits, optional
         Thresholds of the triads.
 
     Returns
     -------
     IntegerSolution
-        Overflow and failure are statuses.
+        Overflow and failures are statuses.
 
     Raises
     ------
     TypeError
-        Tables that hold floating point.
+        If the tables hold floating-point numbers.
     """
     of_kind("tracker", tracker, IntegerTracker, "IntegerTracker.build makes one")
     of_kind("limits", limits, (TriadLimits, type(None)))
@@ -266,7 +268,7 @@ class _Pool:
         self.matrix = np.zeros((3, 3), dtype=np.int64)
 
     def try_group(self, match: GroupMatch, size: int) -> None:
-        """Verify the attitude that a group of `size` triads gives."""
+        """Verify the attitude from a group of `size` triads."""
         if match.matched < 3:
             return
         tables, check = self.tracker.tables, self.tracker.verification
@@ -280,6 +282,8 @@ class _Pool:
         self._reached("few_fit" if state == FEW_FIT else "not_spread" if state == NOT_SPREAD else "weak_evidence")
         if state in (FEW_FIT, NOT_SPREAD):
             return
+        # The rows of a matrix are the camera's axes in the sky: the third is the boresight, and the first also shows
+        # the roll.
         right, _, boresight = np.abs(matrix - self.matrix).max(axis=1).tolist()
         same = self.found and boresight <= check.same and right <= check.same_roll
         better = not self.found or evidence > self.evidence
@@ -292,11 +296,12 @@ class _Pool:
             self.numbers = self._numbers(match, index)
 
     def judge(self) -> IntegerSolution:
-        """The best, where chance and rivals leave it standing."""
+        """The best attitude, if neither chance nor rivals exclude it."""
         threshold = self.tracker.verification.threshold
         status: IntegerStatus = "no_match"
         code = REASONS[self.stage]
         if self.found and self.evidence >= threshold:
+            # log₂ of the ratio of the two Bayes factors must exceed the threshold for chance, too.
             contested = self.rival is not None and self.evidence - self.rival < threshold
             status, code = ("ambiguous", "rival") if contested else ("solved", "accepted")
         chance = f"; chance 2^{-self.evidence / (1 << LOG_BITS):.1f}" if self.found else ""
@@ -313,7 +318,7 @@ class _Pool:
         self.stage = max(self.stage, REASONS.index(code))
 
     def _numbers(self, match: GroupMatch, index: Integers) -> Integers:
-        """Catalogue numbers of the points: the votes' where they agree with the verification."""
+        """Catalogue numbers of the points: those of the votes where they agree with the verification."""
         tracker = self.tracker
         numbers = np.where(index >= 0, tracker.guide_number[index], 0)
         for star, vote in enumerate(match.matches):

@@ -1,15 +1,15 @@
 """Identification by match groups (Van Bezooijen 1989; Greyling 1995, section 5.2).
 
 1. Every observed pair is looked up in the sorted guide pairs; each agreement makes two couples (observed, guide)
-   support each other. A couple and all couples that support it are a match group.
+   support each other. A couple and all couples that support it form a match group.
 2. Groups smaller than a threshold are discarded, also as members of others; the threshold starts two below the
-   largest group and is lowered while nothing is accepted.
+   largest group and is lowered until a group is accepted.
 3. Mutual validation and the mirror test: within a group the members must support each other, too.
-4. The best groups, by size and then by the RSS of the separations' errors, are checked against all stars of the field
-   and accepted by probability (`hypothesis`); Greyling 1995 accepts the best group as it is.
+4. The best groups, by size and then by the RSS of the errors of separations, are verified against all stars of the
+   field and accepted by probability (`acceptance`); Greyling 1995 accepts the best group as it is.
 
-Separations are matched within the stated errors first, then within 3 and 10 times those; if the brightest stars fail
-(false ones among them), the next brightest are tried.
+Separations are first matched within the stated errors, then within 3 and 10 times those. If the brightest stars fail,
+which happens if false ones are among them, the next brightest are tried.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from startracker.solution import Status
 
 _MOST_STARS = 64  # bits of a word
 _MARK_WORK, _COLLECT_WORK, _COUPLE_WORK = 16.0, 64.0, 10.0
-"""Operations of a guide pair in a window, to mark and to collect it, and of two members of a group compared."""
+"""Operations per guide pair in a window, to mark and to collect it, and per comparison of two members of a group."""
 
 
 def match_groups(
@@ -55,14 +55,14 @@ def match_groups(
     Parameters
     ----------
     observed : Observed
-        Brightest first; the brightest `settings.max_stars` make match groups, and if they fail those that follow half
-        that number further down; all stars verify.
+        Brightest first; the brightest `settings.max_stars` form match groups, and if these fail, as many that begin
+        half that number further down; all stars are used in the verification.
     guide : GuideDatabase
-        As the observer sees it.
+        Guide stars in apparent directions for the observer.
     settings : MatchGroupSettings
         Tolerances and limits.
     prior : Prior, optional
-        Confines guide stars and couples to what the prior allows.
+        Restricts guide stars and couples to what the prior allows.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def match_groups(
 
 @dataclass(eq=False)
 class _Search:
-    """One pass over the pairs at one tolerance."""
+    """One search through the pairs at one tolerance."""
 
     observed: Observed
     guide: GuideDatabase
@@ -125,7 +125,7 @@ class _Search:
         pool: HypothesisPool,
         scale: float,
     ) -> _Search | None:
-        """None where there are not enough operations left."""
+        """Match the pairs and mark the couples; None if too few operations are left."""
         settings, prior = MatchGroupSettings.of(pool.settings), pool.prior
         vectors, sigma = observed.vectors, observed.sigma_rad * scale
         i, j, separations = observed_pairs(vectors)
@@ -152,17 +152,17 @@ class _Search:
 
     @property
     def largest(self) -> int:
-        """Stars in the largest match group."""
+        """Number of stars in the largest match group."""
         return int(self.sizes.max())
 
     def thresholds(self) -> range:
-        """Limits on the group size, from two below the largest group (or the setting, if lower) downwards."""
+        """Limits on the group size, in descending order from two below the largest group (or the setting, if lower)."""
         settings = MatchGroupSettings.of(self.pool.settings)
         least = max(settings.min_stars, 3)
         return range(max(least, min(settings.group_threshold, self.largest - 2)), least - 1, -1)
 
     def attitudes(self, threshold: int) -> Iterator[tuple[int, FloatArray]]:
-        """Size and attitude of the validated groups, largest first; what was given out before is left out."""
+        """Size and attitude of the validated groups, largest first; groups that were returned before are skipped."""
         for found in self._validated(threshold):
             code = found.tobytes()
             if code in self.given_out:
@@ -174,7 +174,8 @@ class _Search:
             yield len(seen), matrix
 
     def _validated(self, threshold: int) -> IntArray:
-        """Guide star of each observed star or −1, (K, n), of the groups that hold together, best first."""
+        """Guide star of each observed star, or −1, (K, n), for the groups whose members support each other, best
+        first."""
         n, settings = len(self.observed), MatchGroupSettings.of(self.pool.settings)
         none = np.empty((0, n), dtype=np.int64)
         if not self.pool.spend(_COLLECT_WORK * float(np.sum(self.windows.high - self.windows.low))):
@@ -191,7 +192,7 @@ class _Search:
         mirror = np.zeros((n, n))
         low[i, j] = low[j, i] = np.cos(np.minimum(self.separations + self.tolerance, math.pi))
         high[i, j] = high[j, i] = np.cos(np.maximum(self.separations - self.tolerance, 0.0))
-        # height of the triangle over this base, in tolerances: below one its sense is noise
+        # Height of the triangle over this base, in tolerances: if it is below one, its orientation is noise.
         mirror[i, j] = mirror[j, i] = np.sin(self.separations) * self.tolerance
         shapes = Shapes(self.observed.vectors, self.guide.directions, low, high, mirror)
         groups = Groups(kernel_obs, kernel_guide, start, members)

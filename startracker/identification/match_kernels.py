@@ -1,7 +1,7 @@
-"""Kernels of the match groups: mark, collect, validate. Arrays in, arrays out.
+"""Kernels of the match groups: mark, collect, validate.
 
-A match group belongs to one (observed star, guide star) couple, its kernel; its members are the couples at the right
-separation from it. Couples are coded ``observed · G + guide``.
+A match group belongs to one couple (observed star, guide star), its kernel; its members are the couples at the right
+separation from it. Couples are coded as ``observed · G + guide``.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import triple_product
-from startracker.kernels import kernel, kernel_part
 
 WordArray = NDArray[np.uint64]
 
@@ -22,21 +22,22 @@ MAX_MEMBERS = 400
 
 
 class Windows(NamedTuple):
-    """Observed pairs, each with the guide pairs of its length.
+    """Observed pairs, each with its range of guide pairs of similar separation.
 
     Parameters
     ----------
     i, j : (P,)
         Observed stars of each observed pair.
     low, high : (P,)
-        Window of each in the guide pairs.
+        Half-open range of each in the guide pairs.
     first, second : (L,)
         Guide stars of each guide pair.
     magnitude, v_mag : (N,), (G,)
-        Observed and catalogued; only their differences within a pair are compared, so that no zero point is needed.
+        Observed and catalogued magnitudes; only their differences within a pair are compared, which needs no zero
+        point.
     tolerance_mag : float
     allowed : (N, G) bool, or (0, 0)
-        Couples that a prior lets through; empty: all.
+        Couples that a prior allows; if empty, all.
     """
 
     i: IntArray
@@ -52,8 +53,10 @@ class Windows(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """Match groups kept: observed and guide star (K,) of each one's kernel, and the members
-    ``members[start[k]:start[k + 1]]`` of group k."""
+    """Match groups that are not discarded: observed and guide star (K,) of each kernel, and its members.
+
+    The members of group k are ``members[start[k]:start[k + 1]]``.
+    """
 
     observed: IntArray
     guide: IntArray
@@ -62,16 +65,16 @@ class Groups(NamedTuple):
 
 
 class Shapes(NamedTuple):
-    """Geometry with which the members of a group are compared.
+    """Geometry by which the members of a group are compared.
 
     Parameters
     ----------
     vectors, directions : (N, 3), (G, 3)
         Unit vectors observed and of the guide stars.
     cos_low, cos_high : (N, N)
-        Range of the cosine of the guide stars' separation for each observed pair.
+        Range of the cosine of the guide stars' separation for each observed pair, from the tolerance.
     mirror_floor : (N, N)
-        Triple product above which the sense of the triangle with that base is not noise.
+        Triple product above which the orientation of the triangle with that base is significant.
     """
 
     vectors: FloatArray
@@ -82,7 +85,8 @@ class Shapes(NamedTuple):
 
 
 class _Group(NamedTuple):
-    """Scratch: observed and guide star of each member, how many support it, and which; members by falling support."""
+    """Scratch arrays: observed and guide star of each member, number of supporting members, support matrix, and the
+    members in descending order of support."""
 
     observed: IntArray
     guide: IntArray
@@ -93,7 +97,7 @@ class _Group(NamedTuple):
 
 @kernel_part
 def _agree(w: Windows, brighter: float, i: int, a: int, j: int, b: int) -> bool:
-    """Whether the brightnesses of two couples agree, and a prior lets both through."""
+    """Whether the brightnesses of two couples agree and a prior allows both."""
     fits: bool = abs(brighter - (w.v_mag[a] - w.v_mag[b])) <= w.tolerance_mag
     return fits and (len(w.allowed) == 0 or (w.allowed[i, a] and w.allowed[j, b]))
 
@@ -104,8 +108,10 @@ def mark(w: Windows, partners: WordArray) -> None:
     one = np.uint64(1)
     for p in range(len(w.i)):
         i, j, brighter = w.i[p], w.j[p], w.magnitude[w.i[p]] - w.magnitude[w.j[p]]
+        # One bit of a 64-bit word for each observed star.
         bit_i, bit_j = one << np.uint64(i), one << np.uint64(j)
         for k in range(w.low[p], w.high[p]):
+            # A guide pair can match an observed pair in either order.
             for turn in range(2):
                 a, b = (w.first[k], w.second[k]) if turn == 0 else (w.second[k], w.first[k])
                 if _agree(w, brighter, i, a, j, b):
@@ -114,17 +120,17 @@ def mark(w: Windows, partners: WordArray) -> None:
 
 
 def group_sizes(partners: WordArray) -> IntArray:
-    """Stars in each match group (N, G), kernel included; zero for none."""
+    """Number of stars in each match group (N, G) including the kernel; zero for none."""
     supporting = np.bitwise_count(partners).astype(np.int64)
     return np.where(supporting > 0, supporting + 1, 0)
 
 
 @kernel
 def collect(w: Windows, group: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Members of the groups kept, as rows of a sparse table: ``members[start[k]:start[k + 1]]`` for group k.
+    """Members of the groups, as rows of a sparse table: ``members[start[k]:start[k + 1]]`` for group k.
 
-    `group` (N, G) numbers the groups kept, −1 for those discarded, which are left out as members too ("all match
-    groups that are associated with any discarded match group are also removed").
+    `group` (N, G) numbers the groups, −1 for those discarded, which are excluded as members too ("all match groups that
+    are associated with any discarded match group are also removed").
     """
     width = group.shape[1]
     start, filled, members = np.zeros(count + 1, np.int64), np.zeros(count, np.int64), np.empty(0, np.int64)
@@ -150,9 +156,9 @@ def collect(w: Windows, group: IntArray, count: int) -> tuple[IntArray, IntArray
     return start, members
 
 
-@kernel_part
+@kernel
 def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
-    """Which of a group's members support each other, beside the kernel's observed and guide star `seen` (2,)."""
+    """Determine which members of a group support each other, given the kernel's observed and guide star `seen` (2,)."""
     obs, gid = group.observed, group.guide
     for a in range(count):
         group.degree[a], group.support[a, a] = 0, False
@@ -165,11 +171,13 @@ def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
                 if shapes.cos_low[obs[a], obs[b]] <= cosine <= shapes.cos_high[obs[a], obs[b]]:
                     turn = triple_product(shapes.vectors[seen[0]], shapes.vectors[obs[a]], shapes.vectors[obs[b]])
                     real = triple_product(shapes.directions[seen[1]], u, w)
+                    # Orientations that noise may have changed are not compared.
                     agree = turn * real > 0.0 or abs(turn) < shapes.mirror_floor[obs[a], obs[b]]
             group.support[a, b] = group.support[b, a] = agree
             group.degree[a] += agree
             group.degree[b] += agree
-    for last in range(count):  # by falling support, of equal ones the first first
+    # Insertion sort in descending order of support, stable.
+    for last in range(count):
         at = last
         while at > 0 and group.degree[last] > group.degree[group.order[at - 1]]:
             group.order[at] = group.order[at - 1]
@@ -179,7 +187,7 @@ def _fill(group: _Group, count: int, seen: IntArray, shapes: Shapes) -> None:
 
 @kernel_part
 def _clique(group: _Group, count: int, seed: int, clique: IntArray) -> int:
-    """Members that all support each other, from a seed on, those with most support first; how many."""
+    """Grow a set of members that all support each other from a seed, best supported first; returns its size."""
     clique[0], length = seed, 1
     for at in range(count):
         m = group.order[at]
@@ -208,12 +216,12 @@ def _square_sum(pairs: IntArray, shapes: Shapes) -> float:
 
 @kernel
 def validate(groups: Groups, shapes: Shapes, min_stars: int) -> tuple[IntArray, FloatArray, IntArray]:
-    """Mutual validation and mirror test: within each group the largest set whose members all support each other.
+    """Mutual validation and mirror test: in each group, the largest set of members that all support each other.
 
-    Two members support each other when they are different observed and guide stars, are at the right separation,
-    and the triangle with the kernel turns the same way round in the image and in the sky. Greedy, from each member as
-    the seed, partners with most support first; ties go to the smaller sum of squared separation errors. Groups of
-    fewer than `min_stars` are not looked for.
+    Two members support each other if they are different observed and guide stars, have the right separation, and form a
+    triangle with the kernel of the same orientation in the image and in the sky. The search is greedy: from each member
+    as the seed, members are added in the order of their support; ties are resolved by the smaller sum of squared errors
+    of separation. Groups of fewer than `min_stars` are not searched for.
 
     Returns
     -------
@@ -236,11 +244,13 @@ def validate(groups: Groups, shapes: Shapes, min_stars: int) -> tuple[IntArray, 
             continue
         pairs[0, 0], pairs[0, 1] = groups.observed[g], groups.guide[g]
         for m in range(count):
+            # `collect` stores a couple as one number: observed star times `width` plus guide star.
             code = groups.members[groups.start[g] + m]
             group.observed[m], group.guide[m] = code // width, code % width
         _fill(group, count, pairs[0], shapes)
         for at in range(count):
             seed = group.order[at]
+            # The rest have even less support and cannot form a larger group.
             if group.degree[seed] + 2 < max(min_stars, size[g]):
                 break
             length = _clique(group, count, seed, clique) + 1

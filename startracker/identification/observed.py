@@ -1,4 +1,4 @@
-"""Input and output of identification: observed stars, a prior attitude, and the pairs found."""
+"""Input and output of identification: observed stars, a prior attitude, and the pairs that were found."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.arguments import ABOVE_0, real_number
 from startracker.core import FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.geometry.image_map import ImageMap, to_directions
-from startracker.kernels import kernel, kernel_part
 from startracker.solution import Status
 
 WORST_PX = 5.0
-"""A centroid with a larger error is not used."""
+"""Centroid error, px, above which a star is not used."""
 _AXES = math.sqrt(3.0)
 
 
@@ -31,11 +31,11 @@ class Observed:
     vectors : array, shape (N, 3)
         Unit vectors in the camera frame.
     flux : array, shape (N,), optional
-        Signal in any linear unit; None when it is not known, and magnitudes are then not used.
+        Signal in any linear unit; if None, magnitudes are not used.
     sigma_rad : array, shape (N,)
-        Standard error of each direction, on one axis.
+        Standard error of each direction on one axis.
     kept : dict
-        Cache for quantities derived from these stars.
+        Cache of quantities derived from these stars.
     """
 
     vectors: FloatArray
@@ -54,17 +54,17 @@ class Observed:
         return None if self.flux is None or (len(self) and math.isnan(magnitude[0])) else magnitude
 
     def magnitudes_or_nan(self) -> FloatArray:
-        """The same, NaN for all where they are not known."""
+        """Instrumental magnitudes (N,), all NaN if they are unknown."""
         return np.asarray(magnitudes_of(self.flux_or_nan()))
 
     def flux_or_nan(self) -> FloatArray:
-        """The flux (N,), NaN where it is not known."""
+        """Signal (N,), NaN if it is unknown."""
         return np.full(len(self), math.nan) if self.flux is None else self.flux
 
 
 @kernel_part
 def magnitudes_of(flux: FloatArray) -> FloatArray:
-    """Instrumental magnitudes −2.5 log₁₀ flux (N,); NaN for all where one flux is not positive and finite."""
+    """Instrumental magnitudes −2.5 log₁₀ flux (N,); all NaN if one flux is not positive and finite."""
     out = np.empty(len(flux))
     for n in range(len(flux)):
         if not 0.0 < flux[n] < math.inf:
@@ -76,35 +76,37 @@ def magnitudes_of(flux: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """An attitude known a priori, and the angle (rad) of the largest rotation by which it may be wrong."""
+    """A prior attitude, and the largest rotation angle, rad, by which it may be wrong."""
 
     attitude: Attitude
     radius_rad: float
 
     def allows(self, matrix: FloatArray) -> bool:
-        """Whether an attitude (3, 3) is within that angle, or a twentieth more."""
+        """Whether an attitude (3, 3) is within 1.05 times that angle."""
         turn = matrix @ self.attitude.as_matrix().T
+        # The trace of a rotation matrix is 1 + 2 cos(angle).
         return bool((np.trace(turn) - 1.0) / 2.0 >= math.cos(min(self.radius_rad * 1.05, math.pi)))
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Outcome of an identification.
+    """Result of an identification.
 
     Parameters
     ----------
     status, reason : Status, str
-        ``solved``, ``too_few_stars``, ``no_match``, ``ambiguous`` or ``search_limit``, and why, in words.
+        ``solved``, ``too_few_stars``, ``no_match``, ``ambiguous`` or ``search_limit``, and the reason in words.
     pairs : int array, shape (M, 2)
         Observed index and guide index of each identified star; empty unless solved.
     log_false_alarm : float
-        Natural logarithm of the chance that the sky gives such agreement at random, over all attitudes.
+        Natural logarithm of the probability that a random field agrees as well, over all attitudes.
     focal : float
-        Factor of the focal length against the camera's, if that is slightly wrong; else 1.
+        Ratio of the focal length to the camera's, if that is slightly wrong; otherwise 1.
     steps : sequence of str
         What was tried, and the result of each step, for the explanation.
     operations : int
-        Steps of the search, as `IdentificationSettings.max_operations` counts them: the same on every machine.
+        Number of operations of the search, see `IdentificationSettings.max_operations`; it does not depend on the
+        machine.
     """
 
     status: Status
@@ -122,12 +124,13 @@ class Identification:
 def usable_directions(
     xy: FloatArray, stated_px: FloatArray, pixel_rad: float, image: ImageMap
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
-    """Directions (N, 3) of centroids, those that are usable (M,), and directions and standard errors, rad, of these."""
+    """Directions (N, 3) of centroids, indices (M,) of the usable ones, and directions (M, 3) and errors (M,), rad, of
+    these."""
     directions = to_directions(xy, image)
     usable, sigma, count = np.empty(len(xy), np.int64), np.empty(len(xy)), 0
     chosen = np.empty_like(directions)
     for n in range(len(xy)):
-        # beyond the lens model's fold there are no directions, NaN on all axes
+        # Beyond the fold of the lens model there are no directions: all axes are NaN.
         if math.isfinite(directions[n, 2]) and stated_px[n] < WORST_PX:
             usable[count], sigma[count] = n, stated_px[n] * pixel_rad
             for axis in range(3):
@@ -137,17 +140,17 @@ def usable_directions(
 
 
 def as_prior(attitude: object, prior_deg: float) -> Prior | None:
-    """Prior of an attitude that is off by `prior_deg` degrees about each axis at most; None where there is none.
+    """Prior from an attitude that may be wrong by up to `prior_deg` degrees about each axis; None without an attitude.
 
     Raises
     ------
     InputError
-        For anything but an `Attitude` or a SciPy ``Rotation`` from ICRS to the camera, or an angle that is not
+        For anything but an `Attitude` or a SciPy ``Rotation`` from ICRS to the camera, or for an angle that is not
         positive.
     """
     if attitude is None:
         return None
     known = camera_attitude("prior", attitude)
     prior_deg = real_number("prior_deg", prior_deg, unit="deg", least=ABOVE_0)
-    # at the limit about all three axes at once
+    # The largest rotation has the maximum error about all three axes at once.
     return Prior(known, min(math.radians(prior_deg) * _AXES, math.pi))

@@ -1,11 +1,11 @@
-"""Confirmation of a candidate by the other observed stars, and the map of the sky that refutes it quickly.
+"""Confirmation of a candidate by the other observed stars, and an occupancy map of the sky that rejects it quickly.
 
 Space is divided into cubic cells, and a hash of a cell's indices selects a bit. The bits of all cells near a guide star
-are set. A bit that is not set proves that no guide star is within reach; one that is set may be another cell's, and the
-stars themselves have to be searched.
+are set. A bit that is not set proves that no guide star is within reach; a bit that is set may belong to another cell,
+and the guide stars have to be searched.
 
-The other stars are expressed in the frame of the candidate's two stars. Few of them match by chance, so that the number
-of matches decides which candidates are worth a verification.
+The other stars are expressed in the frame of the candidate's two stars. Few of them match by chance, so the number of
+matches determines which candidates are verified.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog.sky_view import SkyView, star_within
 from startracker.core import FloatArray
 from startracker.identification.search_state import Candidates, Stars
-from startracker.kernels import kernel, kernel_part
 
 _BITS = 20
-"""128 kB: with 9,000 guide stars and a reach of a milliradian every tenth direction is in an occupied cell."""
+"""Base-2 logarithm of the number of bits (128 kB): with 9,000 guide stars and a reach of a milliradian, a tenth of all
+directions are in occupied cells."""
 _REACHES_PER_CELL = 3.0
 _LEAST_REACH, _ROUNDING = 1e-6, 1e-9
 
@@ -35,11 +36,11 @@ class Occupancy(NamedTuple):
     words : uint32 (2^20 / 32,)
         The bits.
     per_unit : float
-        Cells per unit of length.
+        Number of cells per unit of length.
     reach2 : float
-        Square of the reach; negative: there is no map.
+        Square of the reach; negative if there is no map.
     share : float
-        Fraction of the bits that are set: of random directions, those that the map cannot exclude.
+        Fraction of the bits that are set, and so of random directions that the map cannot exclude.
     """
 
     words: NDArray[np.uint32]
@@ -50,12 +51,15 @@ class Occupancy(NamedTuple):
 
 @kernel_part
 def _bit(i: int, j: int, k: int) -> np.uint64:
-    """Bit of a cell: products with large primes (Teschner et al. 2003); unsigned, as no index counts from the end."""
+    """Bit of a cell, a hash from products with large primes (Teschner et al. 2003).
+
+    It is unsigned, because numba checks signed indices for counting from the end.
+    """
     return np.uint64((i * 73856093 ^ j * 19349663 ^ k * 83492791) & ((1 << _BITS) - 1))
 
 
 NO_OCCUPANCY = Occupancy(np.empty(0, np.uint32), 0.0, -1.0, 1.0)
-"""In place of a map: nothing is excluded."""
+"""Substitute for a map, which excludes nothing."""
 
 
 @kernel
@@ -89,7 +93,8 @@ def is_occupied(x: float, y: float, z: float, occupancy: Occupancy) -> bool:
 
 _MANY = 100.0
 MOST_STARS = 120
-"""Number of the brightest stars that are searched and confirm: a hundred false ones may be brighter than the true."""
+"""Number of the brightest stars that are searched and confirm: a hundred false ones may be brighter than the true
+ones."""
 _RARE = 1e-4
 
 
@@ -99,9 +104,9 @@ class Others(NamedTuple):
     Parameters
     ----------
     along : (3, 120)
-        Coordinates along the pair's midpoint, its difference, and the normal to both.
+        Coordinates along the pair's midpoint, its difference vector, and the normal to both.
     gate2 : (120,)
-        Square of the gate of each.
+        Squared gate of each star.
     near : uint8 (120,)
         Scratch: whether a guide star may be within the gate.
     frame : (3, 3)
@@ -115,20 +120,20 @@ class Others(NamedTuple):
 
 
 class Confirmation(NamedTuple):
-    """How many other stars must confirm a candidate, and what the test costs.
+    """Number of other stars that must confirm a candidate, and the cost of the test.
 
     Parameters
     ----------
     gate : float
         Largest distance to a guide star, in stated errors.
     chance : float
-        Largest probability that so many match by chance.
+        Largest probability that as many match by chance.
     enough : int
-        Number of matches that is enough if it occurs by chance in at most 1 of 10,000 candidates.
+        Number of matches that is sufficient if it occurs by chance in at most 1 of 10,000 candidates.
     occupancy : Occupancy
-        Map of the guide stars, if one was made.
+        Map of the guide stars, if one was computed.
     candidate_work, star_work : float
-        Operations of a candidate and of each other star.
+        Operations per candidate and per other star.
     """
 
     gate: float
@@ -141,10 +146,11 @@ class Confirmation(NamedTuple):
 
 @kernel
 def midpoint_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
-    """Rows of `frame` (3, 3): the midpoint of two directions, their difference, and the normal to both."""
+    """Rows of `frame` (3, 3): the midpoint of two directions, their difference, and the normal to both, as unit
+    vectors."""
     sx, sy, sz = p[0] + q[0], p[1] + q[1], p[2] + q[2]
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    # the sum and the difference of unit vectors are at right angles
+    # The sum and the difference of unit vectors are perpendicular.
     s, d = 1.0 / math.sqrt(sx * sx + sy * sy + sz * sz), 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     sx, sy, sz, dx, dy, dz = sx * s, sy * s, sz * s, dx * d, dy * d, dz * d
     frame[0, 0], frame[0, 1], frame[0, 2] = sx, sy, sz
@@ -154,17 +160,17 @@ def midpoint_frame(p: FloatArray, q: FloatArray, frame: FloatArray) -> None:
 
 @kernel_part
 def room() -> Others:
-    """Empty arrays for the other stars."""
+    """Uninitialised arrays for the other stars."""
     n = MOST_STARS
     return Others(np.empty((3, n)), np.empty(n), np.empty(n, np.uint8), np.empty((3, 3)))
 
 
-@kernel_part
+@kernel
 def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Others) -> int:
-    """Write the brightest stars except j, k and i into `others`, in the frame of the pair j, k; how many.
+    """Write the brightest stars except j, k and i into `others`, in the frame of the pair j, k; returns their number.
 
-    `gate` is in standard errors. The pair's midpoint has half the variance of one star, and its bearing an error that
-    is the larger the closer the two are.
+    `gate` is in standard errors. The midpoint of the pair has half the variance of one star, and the bearing of the
+    pair an error that increases as the two stars are closer.
     """
     frame, u, w = others.frame, stars.vectors[j], stars.vectors[k]
     midpoint_frame(u, w, frame)
@@ -180,6 +186,8 @@ def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Other
         for axis in range(3):
             others.along[axis, count] = frame[axis, 0] * x + frame[axis, 1] * y + frame[axis, 2] * z
         away2 = others.along[1, count] ** 2 + others.along[2, count] ** 2
+        # Variance of a predicted position: a quarter of both stars' for the midpoint, and the lever arm for the
+        # bearing.
         others.gate2[count] = gate * gate * (stars.sigma[star] ** 2 + shared * (0.25 + away2 / apart2))
         count += 1
     return count
@@ -187,7 +195,7 @@ def other_stars(j: int, k: int, i: int, stars: Stars, gate: float, others: Other
 
 @kernel_part
 def _position(others: Others, star: int, shrink: float) -> tuple[float, float, float]:
-    """Direction in the sky of one of the other stars, with the pair where `others.frame` is."""
+    """Direction in the sky of one of the other stars if the pair is at `others.frame`."""
     frame = others.frame
     p, q, r = others.along[0, star], others.along[1, star] * shrink, others.along[2, star] * shrink
     x = p * frame[0, 0] + q * frame[1, 0] + r * frame[2, 0]
@@ -196,7 +204,7 @@ def _position(others: Others, star: int, shrink: float) -> tuple[float, float, f
     return x, y, z
 
 
-@kernel_part
+@kernel
 def enough_matches(
     u: FloatArray, w: FloatArray, shrink: float, others: Others, count: int, need: int, sky: SkyView, map_: Occupancy
 ) -> bool:
@@ -228,8 +236,9 @@ def enough_matches(
 
 @kernel_part
 def least_matches(mean: float, chance: float) -> int:
-    """Fewest matches with a probability of at most `chance` where `mean` occur by chance on average (Poisson)."""
-    if mean > _MANY:  # e^−mean would underflow; the tail of a normal distribution instead
+    """Fewest matches with a probability of at most `chance` if their expected number by chance is `mean` (Poisson)."""
+    # e^−mean would underflow, so the tail of a Gaussian is used.
+    if mean > _MANY:
         return int(mean + 5.0 * math.sqrt(mean)) + 1
     term, tail, matches = math.exp(-mean), 1.0, 0
     while tail > chance:
@@ -241,7 +250,8 @@ def least_matches(mean: float, chance: float) -> int:
 
 @kernel_part
 def _attitude_of_pair(stars: Stars, j: int, k: int, focal: float, u: FloatArray, w: FloatArray) -> FloatArray:
-    """Attitude (3, 3) that takes the midpoint of two guide directions and their difference to two observed stars'."""
+    """Attitude (3, 3) that maps the midpoint and the difference of two guide directions onto those of two observed
+    stars."""
     out, ends, seen, known = np.zeros((3, 3)), np.empty((2, 3)), np.empty((3, 3)), np.empty((3, 3))
     for axis in range(3):
         ends[0, axis] = stars.vectors[j, axis] + focal * stars.slopes[j, axis]
@@ -255,29 +265,32 @@ def _attitude_of_pair(stars: Stars, j: int, k: int, focal: float, u: FloatArray,
     return out
 
 
-@kernel_part
+@kernel
 def next_confirmed(
     candidates: Candidates, start: int, stars: Stars, sky: SkyView, confirmation: Confirmation, work: float
 ) -> tuple[int, FloatArray, float]:
-    """First of the candidates from `start` on that enough other stars confirm.
+    """First candidate from `start` on that enough other stars confirm.
 
     Parameters
     ----------
     work : float
-        Operations after which to give up.
+        Number of operations after which to stop.
 
     Returns
     -------
-    Its number, or the number of candidates if there is none; its attitude (3, 3); operations.
+    Its index, or the number of candidates if there is none; its attitude (3, 3); operations.
     """
     others, count, need, taken, last = room(), 0, 0, 0.0, -1
     for c in range(start, len(candidates.focal)):
         row, before = candidates.stars[c], candidates.stars[max(last, 0)]
         j, k, u, w = row[0], row[1], sky.directions[row[2]], sky.directions[row[3]]
+        # Successive candidates often have the same pair of observed stars, and then the same frame and limits.
         if last < 0 or j != before[0] or k != before[1] or row[4] != before[4]:
             count, last = other_stars(j, k, row[4], stars, confirmation.gate, others), c
             mean = 0.0
             for star in range(count):
+                # Expected matches by chance: solid angle of the gate, π gate², times the density of guide stars, G /
+                # 4π.
                 mean += 0.25 * others.gate2[star] * len(sky.directions)
             rare = min(least_matches(mean, _RARE), confirmation.enough)
             need = min(max(least_matches(mean, confirmation.chance), rare), count)

@@ -1,8 +1,8 @@
-"""Pairs of stars by their separation: windows in a sorted list, found in constant time (k-vector).
+"""Pairs of stars by their separation: ranges in a sorted list, found in constant time (k-vector).
 
 A straight line through the sorted values is divided into as many steps as there are values, and the number of values
-below each step is tabulated. A range then starts and ends a few values away from the table's, however long the list;
-these are searched one by one, so that the result is exactly that of `numpy.searchsorted`.
+below each step is tabulated. The ends of a range are then a few values away from those in the table, however long the
+list is; these values are searched one by one, so that the result is exactly that of `numpy.searchsorted`.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel_part
 from startracker.catalog.guide import PairList
 from startracker.core import FloatArray, IntArray
-from startracker.kernels import kernel_part
 
 
 class KVector(NamedTuple):
-    """Index of ascending values.
+    """Index of sorted values.
 
     Parameters
     ----------
     values : (n,)
-        Ascending.
+        Sorted values, ascending.
     below : int32 (n + 1,)
-        Values below ``start + k * step``.
+        Number of values below ``start + k * step``.
     start, step : float
-        The line.
+        Parameters of the line.
     """
 
     values: FloatArray
@@ -52,14 +52,14 @@ def k_vector(values: FloatArray) -> KVector:
 
 @kernel_part
 def _first_from(index: KVector, value: float) -> int:
-    """Position of the first value that is not below `value`."""
+    """Index of the first value that is not below `value`."""
     n = len(index.values)
     if n == 0 or value <= index.values[0]:
         return 0
     if value > index.values[n - 1]:
         return n
     at = int(index.below[min(max(int((value - index.start) / index.step), 0), n)])
-    # the step's own rounding can put the line a value off on either side
+    # The rounded step may put the line one value off, in either direction.
     while at > 0 and index.values[at - 1] >= value:
         at -= 1
     while at < n and index.values[at] < value:
@@ -69,7 +69,7 @@ def _first_from(index: KVector, value: float) -> int:
 
 @kernel_part
 def find_range(index: KVector, low: float, high: float) -> tuple[int, int]:
-    """Half-open range of the positions whose values are ≥ `low` and ≤ `high`."""
+    """Half-open range of the indices whose values are ≥ `low` and ≤ `high`."""
     first = _first_from(index, low)
     last = first
     n = len(index.values)
@@ -81,9 +81,9 @@ def find_range(index: KVector, low: float, high: float) -> tuple[int, int]:
 
 
 PAIR_SIGMAS = 4.0
-"""A true pair's separation is measured within this many standard errors: 6e-5 of them are lost."""
+"""Standard errors within which the separation of a true pair is measured: 6e-5 of them are lost."""
 ABERRATION = 1.02e-4
-"""Largest relative change of a separation by the Earth's and a satellite's speed over that of light."""
+"""Largest relative change of a separation by aberration, for the Earth's and a satellite's velocity."""
 
 
 def separation(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -101,9 +101,9 @@ def observed_pairs(vectors: FloatArray) -> tuple[IntArray, IntArray, FloatArray]
 def pair_tolerance(
     sigma_rad: FloatArray, i: IntArray, j: IntArray, separations: FloatArray, fixed_rad: float | None
 ) -> FloatArray:
-    """Largest difference (P,) between a measured and a catalogued separation, radians.
+    """Largest difference (P,), rad, between a measured and a catalogued separation.
 
-    4 √(σᵢ² + σⱼ²) plus what aberration may stretch; or `fixed_rad`, as in Greyling 1995, section 5.2.
+    4 √(σᵢ² + σⱼ²) plus the largest change by aberration; or `fixed_rad`, as in Greyling 1995, section 5.2.
     """
     if fixed_rad is not None:
         return np.full(len(i), fixed_rad)

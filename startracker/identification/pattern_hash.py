@@ -1,14 +1,14 @@
 """Identification by patterns of four stars, found by their shape in a hash table.
 
-1. Sets of four of the brightest observed stars are tried one after another, the faintest star changing last, so that
-   sets without a false star among the bright ones follow soon.
-2. The shape's bins, and all neighbouring ones within the tolerance, are looked up (`pattern_table`). What agrees in
-   all six edges, in the size within the range of the focal length, and in its sense (mirror images are refused) gives
-   an attitude.
-3. A candidate whose other stars match guide stars more often than by chance is checked against all
-   stars of the field and accepted by probability (`hypothesis`).
+1. Sets of four of the brightest observed stars are tried in an order in which the faintest star changes last, so that a
+   set without a false star among the bright ones follows soon.
+2. The bin of the pattern's shape, and all neighbouring bins within the tolerance, are looked up (`pattern_table`). A
+   pattern that agrees in all six edges, in size within the range of the focal length, and in orientation (mirror images
+   are rejected) gives an attitude.
+3. A candidate whose other stars match guide stars more often than by chance is verified against all stars of the field
+   and accepted by probability (`acceptance`).
 
-Tolerances are those of the stated errors first, then three and ten times as large. The work is bounded. The method is
+Tolerances are first those of the stated errors, then three and ten times as large. The work is limited. The method is
 that of tetra3's documentation (Pettersson 2019, ESA) after Brown, Stubis & Cahoy 2017 (TETRA).
 """
 
@@ -32,7 +32,8 @@ _ROOM = 8
 _MOST_VERIFIED = 24
 _PASSING, _STRONG = -1.0, -8.0
 _FEW_STARS = 10
-"""Number of stars up to which a pattern is verified even if no other star agrees: there may be no other true star."""
+"""Number of stars up to which a pattern is verified even if no other star agrees, because there may be no other true
+star."""
 
 
 def pattern_hash(
@@ -46,13 +47,14 @@ def pattern_hash(
     Parameters
     ----------
     observed : Observed
-        Brightest first; sets of the brightest are tried first. The focal length may be 2.5 % wrong.
+        Brightest first; sets of the brightest are tried first. The focal length may be wrong by 2.5 %.
     guide : GuideDatabase
-        As the observer sees it. Its table of patterns is made once and kept in the user's cache folder.
+        Guide stars in apparent directions for the observer. Their table of patterns is computed once and cached in the
+        user's folder.
     settings : PatternHashSettings
         `min_stars` and `false_alarm_rate`.
     prior : Prior, optional
-        Attitudes outside it are dropped.
+        Attitudes outside it are rejected.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Kernels of the pattern search: image patterns in order of brightness, their bins, and what they lead to."""
+"""Kernels of the pattern search: image patterns in order of brightness, their bins, and the resulting candidates."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog.sky_view import SkyView, star_within
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import normal_equations, pair_rotation
 from startracker.geometry.linalg import chord, rotate_back, rotated, solve, transform, triple_product
 from startracker.identification.pattern_table import BINS, EMPTY, SIZE_STEPS, PatternTable, home_slot, sorted_edges
 from startracker.identification.verification import is_known, rotation_cosine
-from startracker.kernels import kernel, kernel_part
 
 SIGMAS = 2.3
-"""Half width of the tolerance in standard errors of an edge: of many patterns some may be missed."""
+"""Half width of the tolerance in standard errors of an edge: some of many patterns may be missed."""
 DRIFT = 1e-4
-"""What aberration changes of edges and ratios, at most."""
+"""Largest relative change of edges and ratios by aberration."""
 WIDEST = 0.04
-"""Tolerance of a ratio beyond which a pattern is too small to be looked up."""
+"""Tolerance of a ratio above which a pattern is too small to be looked up."""
 _MOST_LOOKED = 24
 _GATE_SIGMAS = 5.0
 _SURE_SHAPE = 3.0
@@ -37,19 +37,19 @@ class Plan(NamedTuple):
     Parameters
     ----------
     multiple : float
-        Of the stated errors.
+        Multiple of the stated errors.
     focal_range : float
         Largest relative error of the focal length.
     most : int
-        Stars, brightest first, that make patterns.
+        Number of the brightest stars that form patterns.
     work : float
-        Most operations, of about a nanosecond each.
+        Largest number of operations, of about a nanosecond each.
     passing, strong : float
-        ln of the chance of a candidate's matches below which it is kept, and below which it is verified at once.
+        ln of the chance of a candidate's matches below which it is recorded, and below which it is verified at once.
     prior : (3, 3)
-        Attitude known a priori.
+        A priori attitude.
     prior_cosine : float
-        Of the largest rotation away from it; −2: there is no prior.
+        Cosine of the largest rotation away from it; −2 if there is no prior.
     """
 
     multiple: float
@@ -72,7 +72,7 @@ class PatternFinds(NamedTuple):
 
 @kernel_part
 def next_set(stars: IntArray) -> None:
-    """Go on to the next set of four (ascending), the faintest star changing last, so that the brightest come first."""
+    """Advance to the next set of four (ascending); the faintest star changes last, so that the brightest come first."""
     for i in range(4):
         if i == 3 or stars[i] + 1 < stars[i + 1]:
             stars[i] += 1
@@ -81,27 +81,27 @@ def next_set(stars: IntArray) -> None:
             return
 
 
-@kernel_part
+@kernel
 def lookup_shape(
     edges: FloatArray, tolerance: float, focal_range: float, table: PatternTable, found: IntArray
 ) -> tuple[int, int]:
-    """Slots of the patterns that may agree with six ascending edges (6,), from all bins within the tolerance.
+    """Slots of the patterns that may agree with six ascending edges, from all bins within the tolerance.
 
     Parameters
     ----------
     edges : (6,)
-        Ascending chords.
+        Chords, ascending.
     tolerance : float
-        Of each ratio.
+        Tolerance of each ratio.
     focal_range : float
         The largest edges agree within this and the tolerance.
     table : PatternTable
     found : (M,)
-        Gets the slots.
+        Receives the slots.
 
     Returns
     -------
-    How many were found, and how many slots were looked at.
+    Number of slots found, and number of slots that were read.
     """
     low, high, at = np.empty(5, np.int64), np.empty(5, np.int64), np.empty(5, np.int64)
     for k in range(5):
@@ -111,13 +111,16 @@ def lookup_shape(
         at[k] = low[k]
     per_size = SIZE_STEPS / table.largest
     slack = focal_range + tolerance
+    # Sizes in the table are rounded to whole steps; one step of margin on each side allows for it.
     smallest, biggest = edges[5] * (1.0 - slack) * per_size - 1.0, edges[5] * (1.0 + slack) * per_size + 1.0
     slots = len(table.keys)
     count, looked = 0, 0
+    # Loops over all combinations of the five bins like an odometer; only ascending ratios occur in the table.
     while True:
         if at[0] <= at[1] <= at[2] <= at[3] <= at[4]:
             key = (((at[0] * BINS + at[1]) * BINS + at[2]) * BINS + at[3]) * BINS + at[4]
             slot = home_slot(key, slots)
+            # Open addressing with linear probing: patterns of the same key follow up to an empty slot.
             while table.keys[slot] != EMPTY:
                 looked += 1
                 if table.keys[slot] == key and smallest <= table.sizes[slot] <= biggest and count < len(found):
@@ -134,26 +137,26 @@ def lookup_shape(
         at[k] += 1
 
 
-@kernel_part
+@kernel
 def correspondence(
     observed: FloatArray, reference: FloatArray, tolerance: float, sense: float, order: IntArray
 ) -> float:
-    """Which star of a catalogue pattern (4, 3) is which of an observed one (4, 3), scale free.
+    """Correspondence between a catalogue pattern (4, 3) and an observed one (4, 3), independent of scale.
 
-    Of the 24 orders the one whose six edges agree best within the tolerance, all of them, is put into `order` (4,).
-    Mirror images are refused: the largest of the four triangles has to turn the same way in both, unless its area is
-    below what noise can turn over.
+    Of the 24 permutations, the one whose six edges all agree within the tolerance, with the smallest sum of squares, is
+    written to `order` (4,). Mirror images are rejected: the largest of the four triangles must have the same
+    orientation in both patterns, unless noise can change that orientation.
 
     Parameters
     ----------
     tolerance : float
-        Of each edge.
+        Tolerance of each edge.
     sense : float
-        Least triple product (twice a triangle's area) whose sign is sure.
+        Least triple product (twice a triangle's area) whose sign is significant.
 
     Returns
     -------
-    Factor of the observed edges against the catalogue's; 0 where nothing agrees.
+    Ratio of the observed edges to the catalogue's; 0 if no permutation agrees.
     """
     mine, theirs = np.empty((4, 4)), np.empty((4, 4))
     total, other = 0.0, 0.0
@@ -183,6 +186,7 @@ def correspondence(
         return 0.0
     order[:] = _PERMUTATIONS[best_order]
     largest, mirrored = 0.0, False
+    # The triangle of the three stars other than `left_out`.
     for left_out in range(4):
         a, b, c = (1 if left_out == 0 else 0), (2 if left_out <= 1 else 1), (3 if left_out <= 2 else 2)
         seen = triple_product(observed[a], observed[b], observed[c])
@@ -192,11 +196,11 @@ def correspondence(
     return 0.0 if mirrored and largest > sense else scale
 
 
-@kernel_part
+@kernel
 def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
-    """Rotation (3, 3) of four or so pairs of unit vectors, reference to observed: least squares.
+    """Least-squares rotation (3, 3) from reference to observed unit vectors, for about four pairs.
 
-    From the two of greatest separation, then three Gauss–Newton steps.
+    The starting value comes from the two with the greatest separation; three Gauss–Newton steps follow.
     """
     n = len(observed)
     longest, a, b = -1.0, 0, 1
@@ -216,7 +220,8 @@ def pattern_attitude(observed: FloatArray, reference: FloatArray) -> FloatArray:
 
 @kernel_part
 def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
-    """Directions with their angle to the axis divided by a factor: what a focal length that much longer sees."""
+    """Directions with their angle to the axis divided by a factor, as for a focal length that is larger by this
+    factor."""
     out = np.empty_like(vectors)
     for i in range(len(vectors)):
         x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
@@ -229,7 +234,8 @@ def _zoomed(vectors: FloatArray, factor: float) -> FloatArray:
 
 @kernel_part
 def _log_chance(matches: int, looked: int, share: float) -> float:
-    """ln of Chernoff's bound on so many matches of so many stars, each with probability `share` (Poisson)."""
+    """ln of Chernoff's bound on at least `matches` of `looked` stars matching, each with probability `share`
+    (Poisson)."""
     mean = max(looked * share, 1e-12)
     return matches * math.log(mean / matches) + matches - mean if matches > mean else 0.0
 
@@ -238,7 +244,7 @@ def _log_chance(matches: int, looked: int, share: float) -> float:
 def _matches(
     matrix: FloatArray, vectors: FloatArray, gate: FloatArray, a: int, b: int, c: int, d: int, sky: SkyView
 ) -> tuple[int, int]:
-    """How many of the brightest stars but a, b, c, d have a guide star in their gate, and how many were looked at."""
+    """Number of the brightest stars except a, b, c, d with a guide star in their gate, and number of stars examined."""
     matches, looked = 0, 0
     for i in range(len(vectors)):
         if i in (a, b, c, d):
@@ -272,22 +278,22 @@ def search_patterns(
     known: FloatArray,
     finds: PatternFinds,
 ) -> tuple[int, int, float]:
-    """Look image patterns up, from the set `stars` on, until a strong candidate is met or the work is done.
+    """Look up image patterns, from the set `stars` on, until a strong candidate is found or the work is used up.
 
     Parameters
     ----------
     vectors, sigma : (N, 3), (N,)
         Observed stars, brightest first.
     stars : (4,)
-        The set to begin with; moved on.
+        The set to begin with; advanced in place.
     known : (K, 3, 3)
-        Attitudes that are verified already, passed over.
+        Attitudes that have been verified already, which are skipped.
     finds : PatternFinds
-        Gets the best candidates.
+        Receives the best candidates.
 
     Returns
     -------
-    Candidates found, patterns looked up, work left over (0 or less: used up; the sets may be, too).
+    Number of candidates, number of patterns looked up, work left over (0 or less if it is used up).
     """
     most = min(plan.most, len(vectors))
     edge = np.empty((most, most))
@@ -303,6 +309,7 @@ def search_patterns(
         next_set(stars)
         work -= _SET_COST
         sorted_edges(edge[a, b], edge[a, c], edge[a, d], edge[b, c], edge[b, d], edge[c, d], edges)
+        # An edge has the errors of two stars; the largest error of the four is assumed for all edges.
         error = math.sqrt(2.0) * plan.multiple * max(sigma[a], sigma[b], sigma[c], sigma[d])
         tolerance = SIGMAS * error * 1.2 / edges[5] + DRIFT
         if not (np.isfinite(edges).all() and tolerance < WIDEST and edges[0] > 2.0 * error):
@@ -318,6 +325,7 @@ def search_patterns(
             if scale == 0.0 or abs(scale - 1.0) > plan.focal_range + tolerance:
                 continue
             work -= _MATCH_COST
+            # A ratio that noise may explain is treated as 1, so that the stated focal length is used.
             focal = scale if abs(scale - 1.0) > _FOCAL_SIGMAS * error / (2.0 * edges[5]) else 1.0
             seen = vectors if focal == 1.0 else _zoomed(vectors, focal)
             for i, star in enumerate((a, b, c, d)):
@@ -330,6 +338,7 @@ def search_patterns(
             if is_known(matrix, known, math.cos(8.0 * gate[d])):
                 continue
             matches, others = _matches(matrix, seen, gate, a, b, c, d, sky)
+            # The gate covers π gate² of the 4π of the sky: a quarter of its square times the number of guide stars.
             score = _log_chance(matches, others, 0.25 * gate[d] ** 2 * len(sky.directions))
             if score > plan.passing:
                 continue
@@ -339,9 +348,9 @@ def search_patterns(
     return count, patterns, work
 
 
-@kernel_part
+@kernel
 def _keep(finds: PatternFinds, count: int, score: float, matrix: FloatArray, focal: float) -> int:
-    """Add a candidate; where there is no room the worst gives way. An attitude that repeats one keeps the better."""
+    """Add a candidate, replacing the worst if there is no room; of two equal attitudes the better is used."""
     at = count
     for k in range(count):
         if rotation_cosine(matrix, finds.matrix[k]) > 0.99999:

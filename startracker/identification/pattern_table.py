@@ -1,12 +1,12 @@
 """Table of four-star patterns of the whole sky, found by their shape in constant time.
 
-A pattern's shape is its five smaller edges over the largest, ascending: which rotation, shift and
-scale do not change. Binned they make the key under which an open-addressing hash table with linear probing keeps the
-pattern; patterns of one key follow each other.
+The shape of a pattern is given by its five smaller edges divided by the largest, ascending, which do not depend on
+rotation, shift and scale. The binned ratios form the key of an open-addressing hash table with linear probing; patterns
+with the same key follow each other.
 
-Which patterns: the camera is placed on a lattice of attitudes that covers the sky, and four-star sets of the
-brightest pattern stars of each field enter, brightest first. An image's brightest stars are therefore in the table
-for every attitude, and sparse fields enter with all their stars.
+Choice of patterns: the camera is placed at attitudes on a lattice that covers the sky, and four-star sets of the
+brightest pattern stars of each field are entered, brightest first. So an image's brightest stars are in the table for
+every attitude, and sparse fields are entered with all their stars.
 
 Source of the method: tetra3's documentation (Pettersson 2019, ESA) after Brown, Stubis & Cahoy 2017, "TETRA: Star
 identification with hash tables"; the choice of patterns by the camera's own fields is ours.
@@ -23,32 +23,32 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog import cache
 from startracker.catalog.guide import GuideDatabase, field_of
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.linalg import chord
-from startracker.kernels import kernel, kernel_part
 
 FORMAT = 1
 BINS = 32
-"""Bins of each edge ratio: a key has 5 × 5 bits and is below the empty slot's mark."""
+"""Number of bins for each ratio of edges: a key has 5 × 5 bits and cannot equal the mark of an empty slot."""
 EMPTY = np.uint32(0xFFFFFFFF)
 LOAD = 0.62
 SMALLEST = 0.12
-"""Least extent of a pattern, of the field's diagonal: the shape of smaller ones is too uncertain."""
+"""Least extent of a pattern, as a share of the field's diagonal: the shape of a smaller one is too uncertain."""
 SIZE_STEPS = 65535
 PATTERNS_PER_FIELD = 500
 FEWEST_PATTERNS = 120_000
 MOST_PATTERNS = 800_000
 WHOLE = 6
-"""Brightest stars of a field of which all sets enter."""
+"""Number of the brightest stars of a field of which all sets are entered."""
 SHARES = ((0.3, 1.0), (0.0, 1.0), (0.0, 0.8), (0.0, 0.6), (0.0, 0.5), (0.0, 0.4))
-"""For each star that follows, the shares of the sets it completes: of any size, and of compact ones."""
+"""For each further star, the shares of the sets with it that are entered: of any size, and compact ones."""
 STARS_OF_FIELD = WHOLE + len(SHARES)
 COMPACT = 0.45
-"""Extent of a compact pattern at most, of the field's diagonal."""
+"""Largest extent of a compact pattern, as a share of the field's diagonal."""
 _MOST_NUMBER = 65535
 _SAMPLE = 0.05
 _STEP = 0.18  # of the field's width, from one attitude of the lattice to the next
@@ -56,16 +56,16 @@ _FEWEST_FIELDS, _MOST_FIELDS = 4_000, 30_000
 
 
 class PatternTable(NamedTuple):
-    """Hash table of patterns, as kernels take it.
+    """Hash table of patterns in the form that kernels read.
 
     Parameters
     ----------
     keys : uint32 (S,)
-        Key of the pattern in each slot; `EMPTY` where there is none.
+        Key of the pattern in each slot; `EMPTY` for a free slot.
     stars : uint16 (S, 4)
-        Its stars, as positions in `members`, ascending.
+        Its stars as indices into `members`, ascending.
     sizes : uint16 (S,)
-        Its largest edge, in steps of `largest` / `SIZE_STEPS`.
+        Its largest edge in steps of `largest` / `SIZE_STEPS`.
     members : int32 (P,)
         Guide star of each pattern star.
     largest : float
@@ -80,12 +80,12 @@ class PatternTable(NamedTuple):
 
     @property
     def patterns(self) -> int:
-        """How many there are."""
+        """Number of patterns."""
         return int(np.count_nonzero(self.keys != EMPTY))
 
     @property
     def nbytes(self) -> int:
-        """Memory of the arrays."""
+        """Size of the arrays in bytes."""
         return self.keys.nbytes + self.stars.nbytes + self.sizes.nbytes + self.members.nbytes
 
 
@@ -103,7 +103,7 @@ def sorted_edges(a: float, b: float, c: float, d: float, e: float, f: float, out
 
 @kernel_part
 def shape_key(edges: FloatArray) -> int:
-    """Key of six ascending edges (6,): five binned ratios to the largest."""
+    """Key of six ascending edges (6,): the binned ratios of five of them to the largest."""
     key = 0
     for k in range(5):
         key = key * BINS + min(int(edges[k] / edges[5] * BINS), BINS - 1)
@@ -112,7 +112,7 @@ def shape_key(edges: FloatArray) -> int:
 
 @kernel_part
 def home_slot(key: int, slots: int) -> np.int64:
-    """Where the search for a key begins: Fibonacci hashing (Knuth 1998, section 6.4) spread over any table size."""
+    """Slot at which the search for a key begins: Fibonacci hashing (Knuth 1998, section 6.4), for any table size."""
     mixed = (np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(32)
     return np.int64((mixed * np.uint64(slots)) >> np.uint64(32))
 
@@ -126,7 +126,7 @@ def insert(
     stars: NDArray[np.uint16],
     sizes: NDArray[np.uint16],
 ) -> None:
-    """Put patterns (Q, 4) of unit vectors (P, 3) into an empty table; a slot must stay free."""
+    """Insert patterns (Q, 4) of unit vectors (P, 3) into an empty table, in which at least one slot must stay free."""
     edge, edges = np.empty((4, 4)), np.empty(6)
     slots = len(keys)
     for q in range(len(patterns)):
@@ -146,8 +146,11 @@ def insert(
 
 # ---------------------------------------------------------------------- which patterns
 def field_attitudes(camera: Camera) -> FloatArray:
-    """Rotations (F, 3, 3), ICRS to camera, that cover the sky with fields: a Fibonacci lattice, each turned by the
-    golden ratio against the last."""
+    """Attitudes (F, 3, 3), ICRS to camera, whose fields cover the sky.
+
+    The boresights form a Fibonacci lattice; the roll of each differs from the one before by an irrational part of a
+    turn.
+    """
     half_diagonal, area = field_of(camera)
     width = min(math.sqrt(area), half_diagonal)
     count = int(min(max(4.0 * math.pi / (_STEP * width) ** 2, _FEWEST_FIELDS), _MOST_FIELDS))
@@ -165,7 +168,7 @@ def field_attitudes(camera: Camera) -> FloatArray:
 
 
 def stars_of_fields(directions: FloatArray, camera: Camera, most: int) -> IntArray:
-    """Brightest stars (F, most) on the image at each attitude of the lattice, ascending; −1 where there are no more.
+    """Indices (F, most) of the brightest stars on the image at each attitude of the lattice, ascending; −1 for none.
 
     Parameters
     ----------
@@ -196,10 +199,10 @@ def stars_of_fields(directions: FloatArray, camera: Camera, most: int) -> IntArr
 def pack_patterns(
     fields: IntArray, directions: FloatArray, level: int, share: float, smallest: float, widest: float
 ) -> NDArray[np.uint64]:
-    """Four-star sets whose faintest star is number `level` of a field, each packed into a word; repeated ones, too.
+    """Four-star sets whose faintest star has the index `level` in a field, packed into words; sets may be repeated.
 
-    Of all sets of an extent between the limits (chords) the `share` whose hash is lowest, so that neighbouring fields
-    choose the same.
+    Of the sets whose extent is within the limits (chords), those with the lowest hashes are selected, up to `share`, so
+    that neighbouring fields select the same sets.
     """
     out = np.empty(max(len(fields), 1) * 8, np.uint64)
     count = 0
@@ -220,6 +223,7 @@ def pack_patterns(
                     word = np.uint64(fields[f, a])
                     for star in (fields[f, b], fields[f, c], fields[f, level]):
                         word = (word << np.uint64(16)) | np.uint64(star)
+                    # A mixing function makes the hash independent of the star numbers, so that the selection is random.
                     mixed = (word ^ (word >> np.uint64(31))) * np.uint64(0x9E3779B97F4A7C15)
                     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
                     if (mixed >> np.uint64(32)) > limit:
@@ -234,14 +238,16 @@ def pack_patterns(
 def choose_patterns(directions: FloatArray, camera: Camera) -> NDArray[np.int32]:
     """Patterns (Q, 4) of stars of `directions` (P, 3; brightest first), the brightest of each field first.
 
-    All sets of the `WHOLE` brightest stars of each field; of those that a fainter star completes a share, which will
-    do, as a field has hundreds. Most of these are compact: a small pattern lies wholly in more fields than a large one,
-    so that the same memory serves more of them. The number is bounded in proportion to the fields that tile the sky.
+    All sets of the `WHOLE` brightest stars of each field are included. Of the sets with a fainter star a share is
+    sufficient, because a field has hundreds. Most of these are compact: a small pattern lies completely within more
+    fields than a large one, so that the same memory serves more fields. The number is limited in proportion to the
+    number of fields that tile the sky.
     """
     half_diagonal, area = field_of(camera)
     wanted = int(min(max(PATTERNS_PER_FIELD * 4.0 * math.pi / area, FEWEST_PATTERNS), MOST_PATTERNS))
     fields = stars_of_fields(directions, camera, STARS_OF_FIELD)
-    fields[fields > _MOST_NUMBER] = -1  # a slot cannot number them; they are the faintest
+    # A slot has 16 bits for a star; the stars beyond are the faintest.
+    fields[fields > _MOST_NUMBER] = -1
     diagonal = 2.0 * math.sin(min(half_diagonal, math.pi / 2))
     smallest = SMALLEST * diagonal
 
@@ -257,7 +263,8 @@ def choose_patterns(directions: FloatArray, camera: Camera) -> NDArray[np.int32]
     if len(first) >= wanted:
         words = first[np.linspace(0, len(first) - 1, wanted).astype(np.int64)]
     else:
-        sample = len(further(_SAMPLE)) - len(first)  # determines how large a share fits
+        # The size of a small sample determines how large a share fits.
+        sample = len(further(_SAMPLE)) - len(first)
         share = min(1.0, _SAMPLE * (wanted - len(first)) / max(sample, 1))
         words = further(share)
     return np.stack([(words >> np.uint64(16 * k)) & np.uint64(_MOST_NUMBER) for k in (3, 2, 1, 0)], axis=1).astype(
@@ -273,7 +280,7 @@ def build_table(directions: FloatArray, members: NDArray[np.int32], camera: Came
     directions : (P, 3)
         Unit vectors of the pattern stars, brightest first.
     members : int32 (P,)
-        Their guide stars.
+        Guide star of each pattern star.
     camera : Camera
     """
     patterns = choose_patterns(directions, camera)
@@ -288,7 +295,7 @@ def build_table(directions: FloatArray, members: NDArray[np.int32], camera: Came
 
 # ---------------------------------------------------------------------- kept between runs
 def pattern_table(guide: GuideDatabase) -> PatternTable:
-    """The table of a guide database's catalogue directions: from memory, the user's cache folder, or made now."""
+    """Table of a guide database's catalogue directions: from memory, from the user's cache folder, or computed."""
     return _table(guide.catalog, guide.camera, guide.pattern.tobytes())
 
 
@@ -307,7 +314,7 @@ def _table(catalog: StarCatalog, camera: Camera, pattern: bytes) -> PatternTable
 
 
 def load(key: str, members: NDArray[np.int32]) -> PatternTable | None:
-    """The table stored under `key`; None when there is none or it cannot be used."""
+    """Table stored under `key`; None if there is none or it is unusable."""
     stored = cache.load_arrays(key)
     try:
         if stored is None:

@@ -1,15 +1,15 @@
 """Kernels that find a star's position in the sky by the votes of the stars around it.
 
-An observed star is taken as the pole, as in the grid algorithm of Padgett & Kreutz-Delgado 1997. Every guide pair as
-long as its separation from one of its neighbours is one vote: for the guide star that the pole may be, and for the roll
-about it, by the difference of the two bearings. True neighbours agree in both; false ones scatter. The pairs of a guide
-star and roll with enough votes are the candidates, which the other observed stars have to confirm (`other_stars`)
+An observed star is used as the pole, as in the grid algorithm of Padgett & Kreutz-Delgado 1997. Every guide pair whose
+separation equals that of the pole from one of its neighbours is one vote: for the guide star that the pole may be, and
+for the roll about it, which is the difference of the two bearings. True neighbours agree in both; false ones scatter.
+Guide stars and rolls with enough votes are candidates, which the other observed stars have to confirm (`other_stars`)
 before one is verified against all (`verification`).
 
-A pole costs one look at the guide pairs of each of its neighbours, where triangles would cost one of each two of them.
-Few votes agree by chance. All are counted for 32 sectors of the roll, or 16 if more than three must agree, in one word
-for each guide star. Those in sectors with enough of them are counted again for 64 rolls, where four words hold a digit
-of all 64 counts each.
+For each neighbour, a pole needs one search of the guide pairs, while triangles need one for each two neighbours. Few
+votes agree by chance. All votes are counted for 32 sectors of the roll, or for 16 if more than three must agree, in one
+64-bit word for each guide star. Votes in sectors with enough of them are counted again for 64 rolls, where each of four
+words holds one binary digit of all 64 counts.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, Int32Array, IntArray
 from startracker.identification.search_plan import MOST_VOTES
 from startracker.identification.search_state import Candidates, Guides, Limits, Pairs, Stars
 from startracker.identification.triangles import ABERRATION, chord_angle, fits_prior, window
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
 BearingArray = NDArray[np.uint16]
 
 _TURN = 65536
-"""Units of a bearing to a turn."""
+"""Units of a bearing per turn."""
 _CELL, _ROLL, _SECTOR, _WIDE_SECTOR = 8, 10, 11, 12
-"""Bits of a bearing within a row of the table of bearings, one of the 64 rolls, and one of the 32 or 16 sectors."""
+"""Widths in bits: of a bearing within a row of the table of bearings, of one of the 64 rolls, of one of the 32 sectors,
+and of one of the 16."""
 _CELLS = _TURN >> _CELL
 _EVERY, _SECOND, _FOURTH = np.uint64(2**64 - 1), np.uint64((2**64 - 1) // 3), np.uint64((2**64 - 1) // 15)
-"""Words with every bit set, every second and every fourth one: those of 64 rolls, 32 and 16 sectors."""
+"""Words with every bit set, every second, and every fourth: one bit for each of 64 rolls, 32 sectors, 16 sectors."""
 VOTE_SIGMAS = 2.6
-"""A true side is measured within this many standard errors except for 1 in 100, and there are other votes."""
+"""Standard errors within which a true side is measured: 1 in 100 is lost, and there are other votes."""
 _LEAST_ERRORS = 3.0
-"""Least separation, in its errors, for a useful bearing."""
+"""Least separation, in units of its error, at which a bearing is useful."""
 _VOTE_WORK = 8.0
 
 
@@ -49,13 +50,13 @@ class VoteCounts(NamedTuple):
     Parameters
     ----------
     there, back : (P,)
-        Of `pair_bearings`.
+        Results of `pair_bearings`.
     sectors : uint64 (G,)
-        Scratch: votes of each guide star for 32 sectors, two bits each, or for 16.
+        Scratch: votes for each guide star in 32 sectors of two bits, or in 16 of four bits.
     votes : uint64 (G, 4)
-        Scratch: digits of the votes of each guide star for 64 rolls.
+        Scratch: digits of the votes for each guide star in 64 rolls.
     head : int32 (G,)
-        Scratch, −1 throughout; left so.
+        Scratch: all −1 on entry and on return.
     """
 
     there: BearingArray
@@ -66,9 +67,12 @@ class VoteCounts(NamedTuple):
 
 
 class _Neighbours(NamedTuple):
-    """The stars (L,) that vote about a pole: how much fainter it is, their separations and bearings, the errors of both
-    (`spread` in parts of the separation), the sectors that votes cover as bits, for guide pairs with a bearing in each
-    256th of a turn, and the guide pairs of that length."""
+    """Stars (L,) that vote about a pole.
+
+    How much fainter each is, separations and bearings, the errors of both (`spread` relative to the separation), the
+    sectors that votes cover as bits, for guide pairs with a bearing in each 256th of a turn, and the ranges of guide
+    pairs with that separation.
+    """
 
     star: IntArray
     fainter: FloatArray
@@ -83,7 +87,7 @@ class _Neighbours(NamedTuple):
 
 @kernel_part
 def bearing(v: FloatArray, w: FloatArray) -> float:
-    """Angle at v from a fixed direction there to w, counted about v, in 65536ths of a turn, −32768 to 32768."""
+    """Bearing of w at v, counted about v from a fixed direction there, in 65536ths of a turn, −32768 to 32768."""
     if abs(v[2]) < 0.9:
         x, y, z = -v[1], v[0], 0.0
     else:
@@ -107,17 +111,20 @@ def pair_bearings(directions: FloatArray, first: Int32Array, second: Int32Array)
 
 @kernel_part
 def _bits(low: int, width: int, size: int, every: np.uint64) -> np.uint64:
-    """Sectors of 2^`size` that overlap the bearings from `low` to `low + width`, one of the bits in `every` each."""
+    """Sectors of width 2^`size` that overlap the bearings from `low` to `low + width`; `every` has one bit per
+    sector."""
     one, step = np.uint64(1), size - _ROLL
     first = np.uint64((low & (_TURN - 1)) >> size << step)
     last = np.uint64(((low + width) & (_TURN - 1)) >> size << step)
+    # Set the bits of the sectors from 0, rotate the word to the first sector, and add the last one, which may be cut
+    # off.
     pattern = every & ((one << np.uint64((width >> size) + 1 << step)) - one)
     return (pattern << first) | (pattern >> ((np.uint64(64) - first) & np.uint64(63))) | (one << last)
 
 
 @kernel_part
 def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
-    """Add one to the counts of some rolls; a carry beyond the third digit stays."""
+    """Add one to the counts of the rolls in `bits`: a binary adder for 64 counters; overflow is recorded in word 3."""
     old = votes[star, 0]
     votes[star, 0] = old ^ bits
     carry = old & bits
@@ -129,7 +136,7 @@ def _vote(votes: NDArray[np.uint64], star: int, bits: np.uint64) -> None:
     votes[star, 3] |= old & carry
 
 
-@kernel_part
+@kernel
 def _neighbours(pole: int, nearest: IntArray, need: int, stars: Stars, pairs: Pairs, limits: Limits) -> _Neighbours:
     """Those of the nearest stars whose separation and bearing are useful."""
     n, wide, count = len(nearest), limits.focal_range, 0
@@ -151,7 +158,9 @@ def _neighbours(pole: int, nearest: IntArray, need: int, stars: Stars, pairs: Pa
         for cell in range(again):
             least = (cell << _CELL) - turn[count] - slack[count]
             covered[start + cell] = _bits(least, 2 * slack[count] + (1 << _CELL) - 1, size, every)
-        for cell in range(start + again, start + _CELLS):  # one sector on
+        # The next sectors are those of a bearing one sector further, so the words are rotated rather than computed
+        # again.
+        for cell in range(start + again, start + _CELLS):
             bits = covered[cell - again]
             covered[cell] = (bits << shift) | (bits >> (np.uint64(64) - shift))
         low[count], high[count] = window(pairs.separation, (s - error) / (1.0 + wide), (s + error) / (1.0 - wide))
@@ -159,12 +168,14 @@ def _neighbours(pole: int, nearest: IntArray, need: int, stars: Stars, pairs: Pa
     return _Neighbours(star[:count], fainter, separation[:count], spread, turn, slack, covered, low, high)
 
 
-@kernel_part
+@kernel
 def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: VoteCounts) -> int:
-    """Count the votes for each guide star and sector, and mark sectors that may have enough; the number of votes."""
+    """Count the votes for each guide star and sector, and mark sectors that may have enough; returns the number of
+    votes."""
     sectors, there, back, covered, total = counts.sectors, counts.there, counts.back, neighbours.covered, 0
     few, one, highest = need <= 3, np.uint64(1), _FOURTH << np.uint64(3)
-    # two bits count to three, from 1 if two are enough; the fourth bit of four is set by the last vote that is needed
+    # Counters of two bits count to three, and start at 1 if two votes are sufficient; counters of four bits start so
+    # high that the last vote that is needed sets the fourth bit.
     start = _SECOND * np.uint64(3 - need) if few else _FOURTH * np.uint64(MOST_VOTES - need)
     for star in range(len(sectors)):
         sectors[star] = start
@@ -172,7 +183,7 @@ def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: Vot
         total += 2 * (neighbours.high[k] - neighbours.low[k])
         for p in range(neighbours.low[k], neighbours.high[k]):
             for way in range(2):
-                # unsigned, as no index counts from the end
+                # unsigned, because numba lets signed indices count from the end
                 guide = np.uint32(pairs.first[p] if way == 0 else pairs.second[p])
                 bits = covered[np.uint32(k * _CELLS + ((there[p] if way == 0 else back[p]) >> _CELL))]
                 old = sectors[guide]
@@ -186,10 +197,12 @@ def _count_sectors(neighbours: _Neighbours, need: int, pairs: Pairs, counts: Vot
     return total
 
 
-@kernel_part
+@kernel
 def _in_full_sectors(neighbours: _Neighbours, total: int, pairs: Pairs, counts: VoteCounts) -> Int32Array:
-    """Votes (V, 5) of the `total` in sectors with enough of them: the neighbour, the guide stars of pole and neighbour,
-    the guide pair, and the roll."""
+    """Votes (V, 5), of `total`, that are in sectors with enough of them.
+
+    Columns: the neighbour, the guide stars of pole and neighbour, the guide pair, and the roll.
+    """
     rows, count = np.empty((total + 1, 5), np.int32), 0
     sectors, there, back, covered = counts.sectors, counts.there, counts.back, neighbours.covered
     for k in range(len(neighbours.star)):
@@ -204,7 +217,7 @@ def _in_full_sectors(neighbours: _Neighbours, total: int, pairs: Pairs, counts: 
     return rows[:count]
 
 
-@kernel_part
+@kernel
 def _voters(
     rows: Int32Array,
     neighbours: _Neighbours,
@@ -214,10 +227,12 @@ def _voters(
     counts: VoteCounts,
     limits: Limits,
 ) -> Candidates:
-    """Those of some votes (V, 5) whose guide star has enough for a roll, with the vote before for the same guide star
-    in place of the guide pair; and ln of the focal length's factor where that is free."""
+    """Votes (V, 5) whose guide star has enough votes for a roll, and ln of the focal-length factor if it is free.
+
+    The guide pair is replaced by the index of the preceding vote for the same guide star, which makes a chain.
+    """
     focal, votes, count, wide = np.empty(len(rows)), counts.votes, 0, limits.focal_range > 0.0
-    # the count starts so high that the last vote that is needed carries beyond the third digit
+    # The count starts so high that the last vote that is needed overflows the third digit.
     missing, zero, one = np.uint64(MOST_VOTES - need), np.uint64(0), np.uint64(1)
     for x in range(len(rows)):
         a = rows[x, 1]
@@ -242,7 +257,8 @@ def _voters(
 
 @kernel_part
 def _agreeing(x: int, voters: Candidates, neighbours: _Neighbours, head: Int32Array, wide: bool) -> tuple[int, int]:
-    """Neighbours' votes, its own included, that agree with a vote in roll and focal length; votes compared."""
+    """Number of neighbours' votes, including its own, that agree with a vote in roll and focal length; and
+    comparisons."""
     rows, focal = voters.stars, voters.focal
     k, agreeing, compared, y = rows[x, 0], 1, 0, head[rows[x, 1]]
     while y >= 0:
@@ -262,7 +278,7 @@ def _agreeing(x: int, voters: Candidates, neighbours: _Neighbours, head: Int32Ar
 def vote_about(
     pole: int, nearest: IntArray, need: int, stars: Stars, sky: Guides, pairs: Pairs, counts: VoteCounts, limits: Limits
 ) -> tuple[Candidates, float]:
-    """Guide stars that an observed star and one of its neighbours may be, by the votes of all neighbours.
+    """Guide stars that an observed star and one of its neighbours may be, from the votes of all neighbours.
 
     Parameters
     ----------
@@ -271,13 +287,13 @@ def vote_about(
     nearest : (L,)
         Its neighbours.
     need : int
-        Votes that must agree.
+        Number of votes that must agree.
     stars, sky, pairs, counts, limits
-        Observed stars, guide stars and pairs, scratch, limits.
+        Observed stars, guide stars and pairs, scratch arrays, limits.
 
     Returns
     -------
-    Pole and neighbour with their guide stars, operations.
+    Candidates of pole and neighbour with their guide stars; operations.
     """
     neighbours = _neighbours(pole, nearest, need, stars, pairs, limits)
     if len(neighbours.star) < need:
@@ -290,6 +306,8 @@ def vote_about(
     far = median(neighbours.separation.copy())
     for x in range(len(voters.focal)):
         k, a, b = voters.stars[x, 0], voters.stars[x, 1], voters.stars[x, 2]
+        # Only the farther half of the neighbours forms candidates, because a longer baseline determines the attitude
+        # better.
         if neighbours.separation[k] < far or work > limits.work:
             continue
         agreeing, compared = _agreeing(x, voters, neighbours, counts.head, wide)

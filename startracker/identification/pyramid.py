@@ -1,12 +1,13 @@
 """Identification by pyramids (Mortari, Samaan, Bruccoleri & Junkins 2004, Navigation 51, 171).
 
-1. Triangles of observed stars in the smart order (i, i + dj, i + dj + dk), which leaves a false star behind quickly.
-2. Each side's range of guide pairs from the k-vector; the guide triangles that close and turn the same way round.
-3. A fourth star at the right separations from all three corners confirms a triangle; how many do ranks the rivals.
-4. The attitude of the triangle with most confirming stars is checked against all stars of the field and accepted by
-   probability (`hypothesis`); the paper uses the expected frequency of random pyramids.
+1. Triangles of observed stars in the smart order (i, i + dj, i + dj + dk), which abandons a false star quickly.
+2. The range of guide pairs for each side, from the k-vector; the guide triangles that close and have the same
+   orientation.
+3. A fourth star at the right separations from all three corners confirms a triangle; rivals are ranked by their number.
+4. The attitude of the triangle with most confirming stars is verified against all stars of the field and accepted by
+   probability (`acceptance`); the paper uses the expected frequency of random pyramids.
 
-Errors as stated are assumed first, then 3 and 10 times those; a few triangles each, then more.
+Errors as stated are assumed first, then 3 and 10 times those; first with a few triangles each, then with more.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.catalog.sky_view import SkyView, stars_in_cone
 from startracker.core import FloatArray, IntArray
@@ -27,25 +29,26 @@ from startracker.geometry.linalg import chord, rotate_back, triple_product
 from startracker.identification.acceptance import SCALES, HypothesisPool, too_few, tried_scales
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import KVector, find_range, k_vector, pair_tolerance, separation
-from startracker.kernels import kernel, kernel_part
 from startracker.settings import IdentificationSettings, PyramidSettings
 from startracker.solution import Status
 
 _ROUNDS = ((60, 3, 500_000), (400, 2, 500_000), (100_000, 1, 500_000))
-"""Triangles up to which each round goes, stars that must confirm one, and steps it may take, for each scale."""
+"""For each round: the number of triangles at which it ends, the number of stars that must confirm one, and the number
+of steps for each scale."""
 _MOST_TRIPLED = 64
-"""Stars that make triangles at most, whatever the settings: 42,000 triangles."""
+"""Largest number of stars that form triangles, whatever the settings: 42,000 triangles."""
 _STEP_WORK = 10
-"""Operations of a step."""
+"""Operations per step."""
 _MOST_CHECKED = 12  # confirmed triangles checked in a round at one scale
 _INDEXES: WeakKeyDictionary[PairList, KVector] = WeakKeyDictionary()
 _MOST_FINDS = 6
-"""Triangles of guide stars kept for one observed triangle, best confirmed first."""
+"""Number of triangles of guide stars, best confirmed first, that are recorded for one observed triangle."""
 _GATE_SIGMAS = 4.5
-_ABERRATION = 1.1e-4  # rad a radian of separation, and a little for rounding
+_ABERRATION = 1.1e-4  # rad per radian of separation, with some margin for rounding
 _MOST_CONFIRMING = 24
-_MOST_SILENT = 8  # stars looked at without a confirming one, after which a triangle is dropped
-_SLENDEREST = 4.0  # smallest height of a triangle, in standard errors: below it its sense and roll are unknown
+_MOST_SILENT = 8  # stars examined without success after which a triangle is rejected
+# Least height of a triangle, in standard errors: below it, orientation and roll are undetermined.
+_SLENDEREST = 4.0
 
 
 def pyramid(
@@ -59,14 +62,14 @@ def pyramid(
     Parameters
     ----------
     observed : Observed
-        Brightest first; the `settings.max_stars` brightest make triangles, all confirm and
-        verify. Magnitudes are looked at in the verification alone.
+        Brightest first; the `settings.max_stars` brightest form triangles, all are used in confirmation and
+        verification. Magnitudes are used in the verification only.
     guide : GuideDatabase
-        As the observer sees it.
+        Guide stars in apparent directions for the observer.
     settings : PyramidSettings
         `separation_tolerance_deg`, `min_stars`, `max_stars`, `false_alarm_rate`.
     prior : Prior, optional
-        Confines the guide pairs to what the prior allows.
+        Restricts the guide pairs to what the prior allows.
 
     Returns
     -------
@@ -115,7 +118,7 @@ def pyramid(
 
 @lru_cache(maxsize=128)
 def smart_triples(n: int) -> IntArray:
-    """All triples (T, 3) of n stars, ordered (i, i + dj, i + dj + dk) with i running fastest, then dk, then dj.
+    """All triples (T, 3) of n stars in the order (i, i + dj, i + dj + dk), where i changes fastest, then dk, then dj.
 
     Successive triples share few stars, so that one false star spoils few of them in a row (Mortari et al. 2004).
     """
@@ -125,7 +128,7 @@ def smart_triples(n: int) -> IntArray:
 
 
 def _guide_pairs(guide: GuideDatabase, prior: Prior | None) -> GuidePairs:
-    """Pairs of the whole sky, or about a prior attitude."""
+    """Pairs of the whole sky, or around a prior attitude."""
     pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
     index = _INDEXES.get(pairs)
     if index is None:
@@ -146,15 +149,15 @@ def _seen(observed: Observed, n: int, settings: PyramidSettings, scale: float) -
 
 # ---------------------------------------------------------------------- kernels
 class Seen(NamedTuple):
-    """Observed stars as the kernels take them.
+    """Observed stars in the form that kernels read.
 
     Parameters
     ----------
     vectors : (N, 3)
     sigma : (N,)
-        Standard errors assumed, rad.
+        Assumed standard errors, rad.
     separation, tolerance : (n, n)
-        Of the stars that make triangles, rad.
+        Separations and tolerances of the stars that form triangles, rad.
     """
 
     vectors: FloatArray
@@ -163,14 +166,14 @@ class Seen(NamedTuple):
     tolerance: FloatArray
 
 
-@kernel_part
+@kernel
 def _confirming(
     seen: Seen, sky: SkyView, rotation: FloatArray, corners: IntArray, guides: IntArray, wanted: int
 ) -> tuple[int, int]:
-    """Further observed stars at the right separations from all three corners of a triangle of guide stars, and steps.
+    """Number of further observed stars at the right separations from all three corners of a guide triangle, and steps.
 
-    The three pair lists meet at the star that lies where the triangle's attitude puts it: it is looked up there, and
-    the separations are checked then.
+    The three pair lists intersect at the star that lies where the triangle's attitude predicts it. It is looked up
+    there, and the separations are checked afterwards.
     """
     matches, looked, steps = 0, 0, 0
     apart, limit = np.empty(3), np.empty(3)
@@ -194,7 +197,7 @@ def _confirming(
             apart[m] = chord(v, seen.vectors[corners[m]])
             limit[m] = _GATE_SIGMAS * math.hypot(seen.sigma[e], seen.sigma[corners[m]]) + _ABERRATION * apart[m]
             far = max(far, apart[m])
-        # the triangle's roll has an error of its stars' over its side, with a long lever for distant stars
+        # The roll from the triangle has an error of the stars' errors over its side, which is large for distant stars.
         gate = _GATE_SIGMAS * (seen.sigma[e] + three / 3.0 * (1.0 + far / shortest))
         x, y, z = rotate_back(rotation, v)
         steps += 2
@@ -202,7 +205,7 @@ def _confirming(
             steps += 1
             right = star != guides[0] and star != guides[1] and star != guides[2]
             for m in range(3):
-                # chords differ by no more than the angles do
+                # A difference of chords is at most that of the angles.
                 if not right or abs(chord(sky.directions[star], sky.directions[guides[m]]) - apart[m]) > limit[m]:
                     right = False
                     break
@@ -213,7 +216,8 @@ def _confirming(
 
 
 class GuidePairs(NamedTuple):
-    """Guide stars (L,) of each pair in the order of their k-vector, with scratch (G,) that is −1 throughout."""
+    """Guide stars (L,) of each pair in the order of their k-vector, and a scratch array (G,) that is all −1 between
+    uses."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
@@ -222,7 +226,8 @@ class GuidePairs(NamedTuple):
 
 
 class _Finds(NamedTuple):
-    """Confirmed triangles, best first: attitude (_MOST_FINDS, 3, 3), confirming stars; and how many there are (1,)."""
+    """Confirmed triangles, best first: attitudes (_MOST_FINDS, 3, 3), numbers of confirming stars, and their count
+    (1,)."""
 
     matrix: FloatArray
     confirmed: IntArray
@@ -231,7 +236,8 @@ class _Finds(NamedTuple):
 
 @kernel_part
 def _partners(pairs: GuidePairs, low: int, high: int) -> tuple[IntArray, IntArray]:
-    """Partners of each guide star over some pairs, as chains that begin at its `head`: the next link, the partner."""
+    """Partners of each guide star in a range of pairs, as chains that begin at its `head`: the next link, the
+    partner."""
     chain, partner = np.empty(2 * (high - low), np.int64), np.empty(2 * (high - low), np.int64)
     count = 0
     for p in range(low, high):
@@ -244,7 +250,7 @@ def _partners(pairs: GuidePairs, low: int, high: int) -> tuple[IntArray, IntArra
 
 @kernel_part
 def _keep(finds: _Finds, rotation: FloatArray, matches: int) -> None:
-    """Insert a confirmed triangle in the order of its matches, if there is room."""
+    """Insert a confirmed triangle in descending order of matches, if there is room."""
     slot = min(finds.found[0], _MOST_FINDS - 1)
     if finds.found[0] == _MOST_FINDS and matches <= finds.confirmed[slot]:
         return
@@ -257,7 +263,7 @@ def _keep(finds: _Finds, rotation: FloatArray, matches: int) -> None:
 
 @kernel_part
 def _laid_on(observed: FloatArray, reference: FloatArray, sides: FloatArray) -> FloatArray:
-    """Attitude (3, 3) of a triangle by its longest side, of i–j, i–k, j–k."""
+    """Attitude (3, 3) of a triangle from its longest side; `sides` are those of i–j, i–k and j–k."""
     one, other = 1, 2
     if sides[0] >= max(sides[1], sides[2]):
         one, other = 0, 1
@@ -267,11 +273,11 @@ def _laid_on(observed: FloatArray, reference: FloatArray, sides: FloatArray) -> 
     return rotation
 
 
-@kernel_part
+@kernel
 def _triangle(
     seen: Seen, corners: IntArray, pairs: GuidePairs, sky: SkyView, least: int, budget: int, finds: _Finds
 ) -> int:
-    """Find the triangles of guide stars that an observed one may be and that fourth stars confirm; the budget left."""
+    """Find the guide triangles that an observed one may be and that fourth stars confirm; returns the budget left."""
     i, j, k = corners
     sides = np.array([seen.separation[i, j], seen.separation[i, k], seen.separation[j, k]])
     observed, reference, guides = np.empty((3, 3)), np.empty((3, 3)), np.empty(3, np.int64)
@@ -284,6 +290,7 @@ def _triangle(
     low_ik, high_ik = find_range(pairs.vector, sides[1] - seen.tolerance[i, k], sides[1] + seen.tolerance[i, k])
     budget -= high_ij - low_ij + high_ik - low_ik
     chain, partner = _partners(pairs, low_ij, high_ij)
+    # The third side is compared by squared chords, which need no inverse function.
     shortest_jk = 4.0 * math.sin(0.5 * max(sides[2] - seen.tolerance[j, k], 0.0)) ** 2
     longest_jk = 4.0 * math.sin(0.5 * min(sides[2] + seen.tolerance[j, k], math.pi)) ** 2
     for p in range(low_ik, high_ik):
@@ -319,19 +326,19 @@ def _triangle(
 def search_pyramids(
     seen: Seen, triples: IntArray, start: int, pairs: GuidePairs, sky: SkyView, least: int, budget: int
 ) -> tuple[int, int, FloatArray, IntArray, int]:
-    """Go through the triples (T, 3) from `start` until one has a triangle of guide stars that a fourth star confirms.
+    """Search the triples (T, 3) from `start` until one has a triangle of guide stars that a fourth star confirms.
 
     Parameters
     ----------
     least : int
-        Confirming stars that a triangle must have.
+        Number of confirming stars that a triangle must have.
     budget : int
-        Steps (pairs and triangles looked at) after which to give up.
+        Number of steps (pairs and triangles examined) after which the search ends.
 
     Returns
     -------
-    Triple to continue from; finds; their attitudes (_MOST_FINDS, 3, 3); confirming stars of each, most first; budget
-    left. No finds: none was confirmed, or the budget is used up.
+    Triple to continue from; number of finds; their attitudes (_MOST_FINDS, 3, 3); confirming stars of each, most first;
+    budget left. Without finds, none was confirmed or the budget is used up.
     """
     finds = _Finds(np.empty((_MOST_FINDS, 3, 3)), np.zeros(_MOST_FINDS, np.int64), np.zeros(1, np.int64))
     t = start

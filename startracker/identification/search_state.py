@@ -1,4 +1,4 @@
-"""Input and output of a search, as kernels take it."""
+"""Input and output of a search, in the form that kernels read."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from startracker.identification.bayes_factor import CountTable
 
 
 class Stars(NamedTuple):
-    """Observed stars as kernels take them: vectors (N, 3), focal slopes (N, 3), sigma (N,) rad, magnitude (N,), the
-    probabilities of their number, and how much denser than evenly they are spread (`clustering_null`)."""
+    """Observed stars in the form that kernels read.
+
+    Vectors (N, 3), focal slopes (N, 3), sigma (N,), rad, magnitude (N,), the probabilities of their number, and their
+    excess density (`clustering_null`).
+    """
 
     vectors: FloatArray
     slopes: FloatArray
@@ -24,7 +27,7 @@ class Stars(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Guide pairs by ascending separation, rad."""
+    """Guide pairs in ascending order of separation, rad."""
 
     first: NDArray[np.int32]
     second: NDArray[np.int32]
@@ -32,7 +35,7 @@ class Pairs(NamedTuple):
 
 
 class Guides(NamedTuple):
-    """Guide stars: unit vectors (G, 3), V (G,)."""
+    """Guide stars: unit vectors (G, 3) and V magnitudes (G,)."""
 
     directions: FloatArray
     v_mag: FloatArray
@@ -46,17 +49,17 @@ class Limits(NamedTuple):
     scale : float
         Multiple of the stated errors.
     focal_range : float
-        Largest relative error of the focal length; 0: known.
+        Largest relative error of the focal length; 0 if it is known.
     magnitude_tolerance : float
-        Between the brightness differences of two stars observed and catalogued.
+        Largest difference between the brightness differences of two stars, observed and catalogued, mag.
     chance : float
         Largest probability that a false candidate is verified.
     work : float
-        Operations after which it ends.
+        Number of operations after which the search ends.
     prior : (3, 3)
-        Attitude known a priori.
+        A priori attitude.
     prior_cosine : float
-        Of the largest angle between a guide star and its position by the prior; −2: no prior.
+        Cosine of the largest angle between a guide star and its position from the prior; −2 if there is no prior.
     """
 
     scale: float
@@ -74,10 +77,10 @@ class Candidates(NamedTuple):
     Parameters
     ----------
     stars : int32 (K, 5)
-        The two observed stars, their guide stars, and the observed star that confirms nothing as it made the candidate,
-        or −1.
+        The two observed stars, their guide stars, and a third observed star that cannot confirm the candidate, because
+        the candidate was derived from it; −1 if there is none.
     focal : (K,)
-        ln of the focal length's factor, observed over assumed.
+        ln of the ratio of the observed to the assumed focal length.
     """
 
     stars: NDArray[np.int32]

@@ -1,8 +1,8 @@
 """Triads of catalogue stars for every three image stars, tested and grouped (Yee 1999, sections 2.3.4.1 to 2.3.4.3).
 
-One algorithm for every `Arithmetic`. The order of triads, on which the grouping may depend and which an export in C
-repeats, does not depend on how they were found: image triangles 1-2-3, 1-2-4, ..., those of one triangle by the index
-in the sub-catalogue of their first star, then their second, then their third.
+One algorithm for every `Arithmetic`. The grouping may depend on the order of the triads, which the C export repeats. So
+the order does not depend on how they were found: image triangles are in the order 1-2-3, 1-2-4, ..., and the triads of
+one triangle in the order of the sub-catalogue indices of their first, then their second, then their third star.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.core import IntArray
 from startracker.identification.arithmetic import Arithmetic, Numbers
 from startracker.identification.triad_tables import TriadTables
-from startracker.kernels import kernel
 
 _PAIR_WORK, _TRIAD_WORK = 20.0, 2000.0
-"""Operations of a catalogue pair within a window, and of a triad."""
+"""Operations per catalogue pair within a range, and per triad."""
 
 
 @dataclass(frozen=True)
 class TriadLimits:
-    """Thresholds of the method; the defaults are those of the Vega image (Yee 1999, section 4.2.1).
+    """Thresholds of the method; the defaults are those for the Vega image (Yee 1999, section 4.2.1).
 
     Parameters
     ----------
@@ -35,22 +35,22 @@ class TriadLimits:
     rotation_tolerance_deg : float
         Largest difference between the two rotations of a triad.
     enclosed_tolerance_deg : float or None
-        Largest difference of an inner angle; None leaves the test out, as her program on the MC68360 did.
+        Largest difference of an inner angle; None omits the test, as her program on the MC68360 does.
     grouping_tolerance_deg : float
         Largest difference of a triad's mean rotation from the running mean of its group.
     vote_number : int or None
-        Fewest triads of a group that must name a catalogue star; None: by the number of image stars
+        Fewest triads of a group that must name a catalogue star; None: depending on the number of image stars
         (`votes_needed`), as her section 5.2 recommends.
     combine_px : float
-        Catalogue stars that lie as close as this in the image are one: her τ.
+        Catalogue stars closer than this in the image are merged: her τ.
     three_stars : bool
-        Where only three stars are seen and one group is found, one vote is enough (her section 5.2).
+        If only three stars are observed and one group is found, one vote is sufficient (her section 5.2).
     reprocess_multiples : bool
-        Stars that are one in the image are made one in the triads before votes are counted, so that a triad which
-        names one of them and one which names another are not two votes (her section 5.2). False: frequencies are
-        summed, as in her program.
+        Stars that are merged in the image are also merged in the triads before votes are counted, so that a triad which
+        names one of them and another triad which names the other are not two votes (her section 5.2). False:
+        frequencies are summed, as in her program.
     most_operations : int, optional
-        Pairs compared and triads found (some 2,000 each) after which the search ends.
+        Operations after which the search ends: pairs compared, and triads found (some 2,000 each).
     """
 
     separation_tolerance_deg: float | tuple[float, ...] = 0.15
@@ -64,17 +64,17 @@ class TriadLimits:
     most_operations: int | None = None
 
     def votes_needed(self, stars: int) -> int:
-        """Fewest votes for a match among so many image stars.
+        """Fewest votes for a match among this number of image stars.
 
-        A star stands in (n − 1)(n − 2)/2 of the triangles of n; by the number of stars a tenth of these must name it,
-        at least two: 2 for up to 7 stars, 3 for 8 or 9, 6 for 12.
+        A star is part of (n − 1)(n − 2)/2 of the triangles of n stars; a tenth of these must name it, at least two: 2
+        for up to 7 stars, 3 for 8 or 9, 6 for 12.
         """
         if self.vote_number is not None:
             return self.vote_number
         return max(2, math.ceil((stars - 1) * (stars - 2) / 20.0))
 
     def pair_tolerances(self, arithmetic: Arithmetic, count: int) -> Numbers:
-        """Tolerance of each of `count` pairs in the arithmetic's format (count,)."""
+        """Tolerances (count,) of the pairs in the arithmetic's format."""
         fixed = self.separation_tolerance_deg
         each = fixed if isinstance(fixed, tuple) else (fixed,) * count
         return np.array([arithmetic.separation_of(value) for value in each])
@@ -89,17 +89,17 @@ class Triads:
     stars : int (T, 3)
         Image stars.
     catalog : int (T, 3)
-        Index in the sub-catalogue of the star that each may be.
+        Index in the sub-catalogue of the star that each image star may be.
     rotations : (T, 2)
-        Angles that turn the vectors 1-2 and 1-3 of the image into the catalogue's, in the arithmetic's format.
+        Angles that rotate the vectors 1-2 and 1-3 of the image onto those of the catalogue, in the arithmetic's format.
     group : int (T,)
-        Group of each, from 0 in the order of their first members.
+        Group of each triad, numbered from 0 in the order of their first members.
     group_rotations : (K,)
         Mean rotation of each group.
     operations : int
-        Taken by the search.
+        Number of operations of the search.
     complete : bool
-        False where `TriadLimits.most_operations` ended it.
+        False if the search was ended by `TriadLimits.most_operations`.
     """
 
     stars: IntArray
@@ -115,7 +115,7 @@ class Triads:
 
     @property
     def group_sizes(self) -> IntArray:
-        """Triads in each group (K,)."""
+        """Number of triads in each group (K,)."""
         return np.bincount(self.group, minlength=len(self.group_rotations))
 
 
@@ -126,7 +126,7 @@ def image_pairs(count: int) -> tuple[IntArray, IntArray]:
 
 
 class _Side(NamedTuple):
-    """Catalogue pairs that one image pair may be, both ways round: partners of each star, ascending."""
+    """Catalogue pairs that one image pair may be, in both orientations: partners of each star, ascending."""
 
     begin: IntArray  # (stars + 1,) where each star's partners begin
     partner: IntArray
@@ -141,10 +141,11 @@ def _side(tables: TriadTables, low: int, high: int) -> _Side:
 
 @kernel
 def join_sides(one: _Side, two: _Side, three: _Side, work: float = math.inf) -> tuple[IntArray, float]:
-    """Catalogue triads (K, 3), ascending, whose sides are all among the pairs of the image's sides 1-2, 1-3 and 2-3.
+    """Catalogue triads (K, 3), ascending, whose sides are among the pairs for the image's sides 1-2, 1-3 and 2-3.
 
-    For each pair (a, b) of side 1-2 the partners of a in 1-3 and those of b in 2-3 are two rising lists; what stands
-    in both completes the triad. Ends where `work` operations are used up; what is left of them is below zero then.
+    For each pair (a, b) of side 1-2, the partners of a in 1-3 and those of b in 2-3 are two ascending lists; an element
+    common to both completes the triad. The search ends when `work` operations are used up; the number left, which is
+    returned too, is then negative.
     """
     out = np.empty((64, 3), np.int64)
     count = 0
@@ -179,11 +180,11 @@ def find_triads(
     Parameters
     ----------
     image : object
-        Image stars as the tables' arithmetic keeps them.
+        Image stars in the form that the tables' arithmetic uses.
     stars : int
-        How many of them, the first ones, make triangles.
+        Number of the image stars, the first ones, that form triangles.
     separations : (P,)
-        Of these, in the order of `image_pairs`.
+        Separations of these, in the order of `image_pairs`.
     tables : TriadTables
         The sub-catalogue.
     limits : TriadLimits
@@ -193,7 +194,7 @@ def find_triads(
     -------
     triads : Triads
     pair_counts : int (P,)
-        Catalogue pairs found for each image pair.
+        Number of catalogue pairs found for each image pair.
     """
     arithmetic = tables.arithmetic
     low, high = tables.windows(separations, limits.pair_tolerances(arithmetic, len(separations)))
@@ -217,6 +218,7 @@ def find_triads(
         seen, catalog, rotations = seen[keep], catalog[keep], rotations[keep]
         if limits.enclosed_tolerance_deg is not None and len(catalog):
             tolerance = arithmetic.angle_of(limits.enclosed_tolerance_deg)
+            # All triads of one call belong to the same image triangle, so its inner angles are computed once.
             inner = arithmetic.image_enclosed(image, *seen[:1].T)
             agree = [
                 arithmetic.angles_agree(ours, theirs, tolerance)
@@ -250,23 +252,24 @@ def _grouped(arithmetic: Arithmetic, rotations: Numbers, limits: TriadLimits) ->
 
 @kernel
 def group_rotations(mean: Numbers, tolerance: Any, full_turn: Any) -> tuple[IntArray, Numbers, Numbers, IntArray]:
-    """Sort angles one by one into groups: the first whose running mean is within the tolerance, else a new one.
+    """Assign angles one by one to groups: to the first group whose mean is within the tolerance, or else to a new one.
 
-    A group's mean is origin + total/count, the origin its first member. |angle − mean| ≤ tolerance is compared as
-    |count (angle − origin) − total| ≤ tolerance × count, which needs no division and is the same for integers.
+    A group's mean is origin + total/count, where the origin is its first member. The condition |angle − mean| ≤
+    tolerance is evaluated as |count (angle − origin) − total| ≤ tolerance × count, which needs no division and is the
+    same for integers.
 
     Parameters
     ----------
     mean : (T,)
         Angles in [0, full_turn), floating point or integer.
     tolerance, full_turn : number
-        Of the same type.
+        Of the same type as the angles.
 
     Returns
     -------
     group : int (T,)
     origin, total : (K,)
-        Of the groups; `total` is the sum of differences from the origin.
+        Origin of each group, and sum of its members' differences from it.
     count : int (K,)
     """
     n = len(mean)
@@ -276,10 +279,11 @@ def group_rotations(mean: Numbers, tolerance: Any, full_turn: Any) -> tuple[IntA
     groups = 0
     for t in range(n):
         found = -1
+        # A zero of the type of the angles.
         step = mean[t] - mean[t]
         for g in range(groups):
             step = mean[t] - origin[g]
-            # on the side of the circle where the group's mean is
+            # Differences are taken on the side of the circle where the group's mean is.
             off = step * count[g] - total[g]
             if 2 * off >= full_turn * count[g]:
                 step -= full_turn

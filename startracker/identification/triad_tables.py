@@ -1,4 +1,5 @@
-"""The databases of identification by triads: a sub-catalogue and its pairs sorted by separation (Yee 1999, 2.3.3)."""
+"""Databases of identification by triads: a sub-catalogue and its pairs sorted by separation (Yee 1999, section
+2.3.3)."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.arithmetic import Arithmetic, Numbers
 
 _ROUNDING = 1e-9
-"""Relative allowance of the search for pairs; what is really too far apart is left out afterwards."""
+"""Relative margin of the search for pairs; pairs that are too far apart are removed afterwards."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,15 +26,15 @@ class TriadTables:
     Parameters
     ----------
     arithmetic : Arithmetic
-        Its format is that of the separations.
+        Arithmetic in whose format the separations are.
     id : int (G,)
-        Catalogue number of each star, HR for the Bright Star Catalogue.
+        Catalogue number of each star: HR for the Bright Star Catalogue.
     v_mag : (G,)
-        Visual magnitudes, by which the brightest of several stars is determined.
+        Visual magnitudes, which determine the brightest of several stars.
     sky : object
-        The stars' coordinates as the arithmetic keeps them.
+        The stars' coordinates in the form that the arithmetic uses.
     separation : (P,)
-        Separations of the pairs, ascending; equal ones in the order of `first`, then `second`.
+        Separations of the pairs in ascending order; equal ones in the order of `first`, then `second`.
     first, second : int (P,)
         Indices of the two stars in the sub-catalogue, `first` < `second`.
     """
@@ -59,12 +60,12 @@ class TriadTables:
         v_mag: ArrayLike,
         max_separation_deg: float,
     ) -> TriadTables:
-        """Databases of the stars given, of all pairs up to the largest separation that the camera holds.
+        """Databases of the given stars, with all pairs up to the largest separation in the camera's field.
 
         Raises
         ------
         InputError
-            Columns that differ in length or hold values that are not finite; a separation that is not in (0, 180].
+            Columns that differ in length or contain values that are not finite; a separation outside (0, 180].
         """
         number = np.array(star_id, dtype=np.int64)
         ra, dec, magnitude = (np.array(column, dtype=float) for column in (ra_deg, dec_deg, v_mag))
@@ -95,13 +96,13 @@ class TriadTables:
         first: IntArray,
         second: IntArray,
     ) -> TriadTables:
-        """Databases of pairs that are known already."""
+        """Databases from pairs that are already known."""
         separation = arithmetic.catalog_separations(sky, first, second)
         order = np.lexsort((second, first, separation))
         return cls(arithmetic, star_id, v_mag, sky, separation[order], first[order], second[order])
 
     def windows(self, separations: Numbers, tolerance: Numbers) -> tuple[IntArray, IntArray]:
-        """Half-open ranges [low, high) of the pairs within the tolerance of each separation, by binary search."""
+        """Half-open ranges [low, high) of the pairs within the tolerance of each separation, each (P,)."""
         low = np.searchsorted(self.separation, separations - tolerance, side="left")
         high = np.searchsorted(self.separation, separations + tolerance, side="right")
         return low.astype(np.int64), high.astype(np.int64)

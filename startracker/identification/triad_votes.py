@@ -1,4 +1,4 @@
-"""From groups of triads to matched stars: votes, multiple stars, the final check (Yee 1999, section 2.3.4.3)."""
+"""From groups of triads to matched stars: votes, merged stars, final check (Yee 1999, section 2.3.4.3)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from startracker.identification.triad_search import TriadLimits, Triads, find_tr
 from startracker.identification.triad_tables import TriadTables
 
 COMBINED_ID = 10_000
-"""Added to the number of the brightest of several stars that are one in the image: 7139 becomes 17139."""
+"""Added to the number of the brightest of several stars that are merged in the image: 7139 becomes 17139."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Vote:
     Parameters
     ----------
     catalog : int
-        Index in the sub-catalogue; of several that of the brightest.
+        Index in the sub-catalogue; for several stars, that of the brightest.
     members : tuple of int
         Indices of all of them.
     frequency : int
-        Triads of the group that name it.
+        Number of triads of the group that name it.
     """
 
     catalog: int
@@ -37,24 +37,24 @@ class Vote:
     frequency: int
 
     def number(self, tables: TriadTables) -> int:
-        """Catalogue number, of several the brightest's plus 10,000."""
+        """Catalogue number; for several stars, that of the brightest plus 10,000."""
         return int(tables.id[self.catalog]) + (COMBINED_ID if len(self.members) > 1 else 0)
 
 
 @dataclass(frozen=True, eq=False)
 class GroupMatch:
-    """What one group of triads says.
+    """Matches according to one group of triads.
 
     Parameters
     ----------
     group : int
-        Which.
+        Number of the group.
     votes : tuple of tuple of Vote
-        Of each image star, brightest first, combined ones last.
+        For each image star, its candidates, brightest first, with merged stars last.
     winners : tuple of (Vote or None)
-        Of each image star, the vote that won.
+        For each image star, the candidate with most votes.
     matches : tuple of (Vote or None)
-        The same after the final check of separations.
+        The winners that pass the final check of separations.
     """
 
     group: int
@@ -64,36 +64,36 @@ class GroupMatch:
 
     @property
     def matched(self) -> int:
-        """Stars matched."""
+        """Number of matched stars."""
         return sum(match is not None for match in self.matches)
 
     @property
     def pairs(self) -> IntArray:
-        """Image star and index in the sub-catalogue of each match (M, 2)."""
+        """Image star and index in the sub-catalogue (M, 2) of each match."""
         found = [(star, match.catalog) for star, match in enumerate(self.matches) if match is not None]
         return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
 class TriadMatch:
-    """Every step of one identification.
+    """All intermediate results of one identification.
 
     Parameters
     ----------
     tables : TriadTables
         The sub-catalogue.
     scale_deg : (2,)
-        Degrees a pixel, across and down.
+        Degrees per pixel, across and down.
     limits : TriadLimits
         The thresholds.
     stars : int
-        Image stars.
+        Number of image stars.
     separations : (P,)
-        Of the image stars, in the order of `image_pairs`.
+        Separations of the image stars, in the order of `image_pairs`.
     pair_counts : int (P,)
-        Catalogue pairs found for each.
+        Number of catalogue pairs found for each.
     triads : Triads
-        What passed the tests, grouped.
+        Triads that passed the tests, grouped.
     """
 
     tables: TriadTables
@@ -105,13 +105,13 @@ class TriadMatch:
     triads: Triads
 
     def groups(self) -> IntArray:
-        """Groups by falling size, of equal ones in the order found."""
+        """Group numbers in descending order of size, equal ones in the order in which they were found."""
         return np.argsort(-self.triads.group_sizes, kind="stable")
 
     def candidates(self) -> Iterator[GroupMatch]:
-        """Groups that match at least three stars, the largest first, those that follow for who asks on.
+        """Groups that match at least three stars, largest first.
 
-        Her program looked at the largest groups alone; the others follow as her section 5.2 recommends.
+        Yee's program examined the largest groups only; the others follow as her section 5.2 recommends.
         """
         for group in self.groups():
             found = self.vote(int(group))
@@ -119,15 +119,16 @@ class TriadMatch:
                 yield found
 
     def best(self) -> GroupMatch | None:
-        """The first group that matches three stars; None where none does."""
+        """The first group that matches three stars, or None."""
         return next(self.candidates(), None)
 
     def vote(self, group: int) -> GroupMatch:
-        """Count the votes of a group's triads and check what wins."""
+        """Count the votes of a group's triads and check the winners."""
         arithmetic, tables, limits = self.tables.arithmetic, self.tables, self.limits
         members = self.triads.group == group
         seen, catalog = self.triads.stars[members], self.triads.catalog[members]
         close = combine_separation(arithmetic, self.scale_deg, limits.combine_px)
+        # Three image stars form one triad, which gives each one vote; that is enough if no other group contradicts it.
         unique = limits.three_stars and self.stars == 3 and len(self.triads.group_rotations) == 1
         needed = 1 if unique else limits.votes_needed(self.stars)
         votes = tuple(
@@ -137,9 +138,10 @@ class TriadMatch:
         return GroupMatch(group, votes, winners, self._checked(winners))
 
     def _checked(self, winners: tuple[Vote | None, ...]) -> tuple[Vote | None, ...]:
-        """Drop matches until all separations agree, each time the one with most disagreements, of equal ones the last.
+        """Remove matches until all separations agree, each time the match with most disagreements; of equal ones the
+        last.
 
-        Several stars that are one in the image agree where one of them does: what is seen lies between them.
+        Several stars that are merged in the image agree if one of them does, because the image lies between them.
         """
         left = list(winners)
         tolerance = self.limits.pair_tolerances(self.tables.arithmetic, len(self.separations))
@@ -163,7 +165,8 @@ class TriadMatch:
 
 
 def combine_separation(arithmetic: Arithmetic, scale_deg: ArrayLike, radius_px: float) -> Any:
-    """Separation up to which stars are one in the image: the larger of τ pixels across and τ pixels down (eq. 2.4)."""
+    """Separation up to which stars are merged in the image: the larger of τ pixels across and τ pixels down (eq.
+    2.4)."""
     probe: Any = arithmetic.image([[0.0, 0.0], [radius_px, 0.0], [0.0, radius_px]], scale_deg)
     apart = arithmetic.image_separations(probe, np.array([0, 0]), np.array([1, 2]))
     return apart.max()
@@ -179,16 +182,16 @@ def match_triads(
     tables : TriadTables
         The sub-catalogue.
     xy_px : (N, 2)
-        Centroids, x right and y up from the image's centre, brightest first; all are used.
+        Centroids, x right and y up relative to the image's centre, brightest first; all are used.
     scale_deg : (2,)
-        Degrees a pixel, across and down.
+        Degrees per pixel, across and down.
     limits : TriadLimits, optional
         Thresholds.
 
     Returns
     -------
     TriadMatch
-        Whose `best` is the answer; its groups, triads and separations are the steps on the way.
+        Its `best` is the answer; its groups, triads and separations are the intermediate results.
 
     Raises
     ------
@@ -207,10 +210,10 @@ def match_triads(
 def _votes(
     tables: TriadTables, seen: IntArray, catalog: IntArray, star: int, close: Any, reprocess: bool
 ) -> tuple[Vote, ...]:
-    """Stars that triads (T, 3) name for an image star and how often, brightest first; then those that are one image.
+    """Candidates that triads (T, 3) name for an image star, with their frequency, brightest first, then merged stars.
 
-    Several stars in one image have the sum of their frequencies, or the number of triads that stay different once
-    each of them is called by the brightest.
+    Several merged stars have the sum of their frequencies, or the number of triads that remain different when each of
+    the stars is replaced by the brightest.
     """
     index, frequency = np.unique(catalog[seen == star], return_counts=True)
     order = np.lexsort((index, tables.v_mag[index]))
@@ -225,17 +228,19 @@ def _votes(
             renamed = np.where(np.isin(catalog, stars), stars[0], catalog)
             count = len(np.unique(np.hstack([seen, renamed])[naming], axis=0))
         combined.append(Vote(stars[0], stars, count))
-    if reprocess:  # what is one in the image is no longer named alone
+    # Stars that are merged in the image are no longer candidates individually.
+    if reprocess:
         single = [vote for vote in single if not any(vote.catalog in several.members for several in combined)]
     return tuple(single + combined)
 
 
 def _chains(tables: TriadTables, index: IntArray, close: Any) -> list[IntArray]:
-    """Sets of several stars that are connected by separations of at most `close`, as ascending positions in `index`."""
+    """Sets of several stars connected by separations of at most `close`, as ascending indices into `index`."""
     label = np.arange(len(index))
     i, j = image_pairs(len(index))
     near = tables.arithmetic.catalog_separations(tables.sky, index[i], index[j]) <= close
     for a, b in zip(i[near], j[near], strict=True):
+        # Two sets that are connected become one, as in single-linkage clustering.
         low, high = sorted((label[a], label[b]))
         label[label == high] = low
     several = np.flatnonzero(np.bincount(label, minlength=len(index)) > 1)
@@ -243,7 +248,7 @@ def _chains(tables: TriadTables, index: IntArray, close: Any) -> list[IntArray]:
 
 
 def _winner(votes: tuple[Vote, ...], needed: int) -> Vote | None:
-    """The one named most often, if that is often enough and no other is named as often."""
+    """The candidate with the highest frequency, if that is sufficient and no other has the same."""
     if not votes:
         return None
     most = max(vote.frequency for vote in votes)

@@ -1,15 +1,15 @@
 """Identification by triads (Yee 1999, section 2.3.4), accepted by probability.
 
-1. Every triangle of the brightest stars is looked for in the sorted pairs of guide stars (`triad_search`): three
+1. Every triangle of the brightest stars is searched for in the sorted pairs of guide stars (`triad_search`): three
    separations, the rotations of two sides, the inner angles.
-2. Triads are grouped by rotation, and the votes of a group name each star (`triad_votes`), the largest group first.
-3. The attitude of each group that names three stars is checked against all stars of the field and accepted by
-   probability (`hypothesis`), while Yee 1999 accepts the largest group as it is.
+2. Triads are grouped by rotation, and the votes of a group, the largest first, name each star (`triad_votes`).
+3. The attitude of each group that names three stars is verified against all stars of the field and accepted by
+   probability (`acceptance`), while Yee 1999 accepts the largest group as it is.
 
-The image is projected to the plane that touches the sphere at the boresight, and the geometry is exact
-(`FloatArithmetic(exact=True)`), so that separations are matched within the centroids' errors: those stated first, then
-within 3 and 10 times those. Rotations refer to the celestial pole. Near it the meridians converge, and
-triads agree on one only if they share their first star; the groups are smaller there, but large enough.
+The image is projected to the plane tangent to the sphere at the boresight, and the geometry is exact
+(`FloatArithmetic(exact=True)`), so that separations can be matched within the centroids' errors: first those stated,
+then 3 and 10 times those. Rotations refer to the celestial pole. Near it the meridians converge, and triads agree on a
+rotation only if they share their first star; the groups are smaller there, but large enough.
 """
 
 from __future__ import annotations
@@ -34,13 +34,14 @@ from startracker.settings import IdentificationSettings, TriadSettings
 from startracker.solution import Status
 
 _MOST_TRIPLED = 64
-"""Stars that make triads at most, whatever the settings."""
+"""Largest number of stars that form triads, whatever the settings."""
 _MOST_GROUPS = 12
-"""Groups checked at one scale."""
+"""Number of groups verified at one scale."""
 _LOWEST = 0.2
 """Cosine of the angle to the boresight below which a star is not projected to the tangent plane."""
 _COMBINE_PX = 4.0
-"""Guide stars this close in the image are one; closer doubles than the camera resolves are merged already."""
+"""Distance in the image, px, below which guide stars are merged; doubles that the camera does not resolve are merged
+already."""
 _TABLES: WeakKeyDictionary[PairList, dict[Arithmetic, TriadTables]] = WeakKeyDictionary()
 
 
@@ -55,14 +56,14 @@ def triads(
     Parameters
     ----------
     observed : Observed
-        Brightest first; the `settings.max_stars` brightest make triads, all verify.
+        Brightest first; the `settings.max_stars` brightest form triads, all are used in the verification.
     guide : GuideDatabase
-        As the observer sees it.
+        Guide stars in apparent directions for the observer.
     settings : TriadSettings
         `separation_tolerance_deg`, `rotation_tolerance_deg`, `enclosed_tolerance_deg`, `grouping_tolerance_deg`,
         `vote_number`, `three_stars`, `min_stars`, `max_stars`, `false_alarm_rate`.
     prior : Prior, optional
-        Confines the guide pairs to what the prior allows.
+        Restricts the guide pairs to what the prior allows.
 
     Returns
     -------
@@ -78,9 +79,10 @@ def triads_integer(
     settings: IdentificationSettings | None = None,
     prior: Prior | None = None,
 ) -> Identification:
-    """The same, triads and votes in 64-bit integers (`startracker.fixed_point.wide`).
+    """`triads`, with triads and votes in 64-bit integers (`startracker.fixed_point.wide`).
 
-    What does not fit the formats, a star 83° from the boresight, is ``no_match`` with the overflow as its reason.
+    If a value does not fit its format, such as for a star 83° from the boresight, the result is ``no_match`` with the
+    overflow as its reason.
     """
     try:
         return _identify(observed, guide, TriadSettings.of(settings), prior, WideArithmetic())
@@ -103,9 +105,10 @@ def _identify(
     before = np.flatnonzero(observed.vectors[:, 2] > _LOWEST)[:most]
     vectors = observed.vectors[before]
     pixel_deg = math.degrees(guide.camera.pixel_rad)
-    # x as the columns run, y up; one pixel is its angle at the boresight
+    # x along the columns, y up (against the rows), in units of the pixel's angle at the boresight.
     xy = vectors[:, :2] / vectors[:, 2:] * [1.0, -1.0] / guide.camera.pixel_rad
     fixed = settings.separation_tolerance_deg
+    # A tolerance given in degrees does not depend on the stated errors, so that one scale, the widest, is sufficient.
     scales = tried_scales(observed, guide) if fixed is None else SCALES[-1:]
     tables = _tables(guide, prior, arithmetic)
     i, j, separations = observed_pairs(vectors)
@@ -148,7 +151,7 @@ def _identify(
 
 
 def _tables(guide: GuideDatabase, prior: Prior | None, arithmetic: Arithmetic) -> TriadTables:
-    """Tables of the guide stars, of the whole sky or about a prior attitude; indices are those of the guide stars."""
+    """Tables of the guide stars, for the whole sky or around a prior attitude; indices are those of the guide stars."""
     pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
     known = _TABLES.setdefault(pairs, {})
     if arithmetic not in known:

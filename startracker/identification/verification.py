@@ -1,4 +1,4 @@
-"""Kernel that checks an attitude against every observed star: match, refit by `estimation.directions`, weigh."""
+"""Kernel that verifies an attitude against every observed star: match, refit, and compute its Bayes factor."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog.sky_view import SkyView, in_shape, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.association import nearest_unique
@@ -15,18 +16,17 @@ from startracker.geometry.linalg import rotate_back, rotated, solve, transform
 from startracker.identification.bayes_factor import WEIGHINGS, Matched, log_bayes_factor, log_magnitude_ratios
 from startracker.identification.clustering_null import clustering_price
 from startracker.identification.search_state import Stars
-from startracker.kernels import kernel_part
 from startracker.sorting import sort
 
 GATE_SIGMAS = 4.5
 FOCAL_SIGMA = 0.01
-"""A priori standard deviation of ln f, where the focal length is fitted: 2 % is two of these."""
+"""A priori standard deviation of ln f if the focal length is fitted: 2 % is twice this."""
 MOST_EXTRA = 10
 OVERHEAD = 10_000
-"""Operations of a verification besides those that grow with the numbers of stars."""
+"""Operations of a verification in addition to those that grow with the numbers of stars."""
 FEWEST_FOR_FOCAL = 5
-"""Matched stars from which the focal length may be fitted: with it three or four fit the wrong stars of a field too
-easily."""
+"""Least number of matched stars for fitting the focal length: with it, three or four stars of a field fit wrong guide
+stars too easily."""
 _NARROWING = 3.0
 _NARROWEST = 0.8
 _ROUNDS = 5
@@ -43,9 +43,9 @@ def rotation_cosine(one: FloatArray, other: FloatArray) -> float:
     return 0.5 * (trace - 1.0)
 
 
-@kernel_part
+@kernel
 def is_known(matrix: FloatArray, known: FloatArray, least_cosine: float) -> bool:
-    """Whether an attitude is one of those known (K, 3, 3), within a rotation with this cosine."""
+    """Whether an attitude is within a rotation of cosine `least_cosine` of one that is known (K, 3, 3)."""
     closest = -1.0
     for m in range(len(known)):
         closest = max(closest, rotation_cosine(matrix, known[m]))
@@ -53,22 +53,22 @@ def is_known(matrix: FloatArray, known: FloatArray, least_cosine: float) -> bool
 
 
 class Verified(NamedTuple):
-    """An attitude as all stars see it.
+    """Result of verifying an attitude against all stars.
 
     Parameters
     ----------
     log_b : float
-        ln B; −inf: too few stars agree.
+        ln B; −inf if too few stars agree.
     matrix : (3, 3)
         ICRS to camera.
     focal, scale : float
-        ln of the focal length's factor, multiple of the stated errors that fits best.
+        ln of the focal-length factor, and the multiple of the stated errors that fits best.
     in_field : int
-        Guide stars in the field.
+        Number of guide stars in the field.
     pairs : (M, 2)
-        Observed stars that have a guide star, and its number.
+        Observed stars with a guide star, and its index.
     operations : int
-        Stars compared with guide stars, and terms of the Bayes factor.
+        Number of comparisons of stars with guide stars, plus number of terms of the Bayes factor.
     """
 
     log_b: float
@@ -81,7 +81,7 @@ class Verified(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """Guide stars of a field, brightest first: number, direction (K, 3), magnitude, direction in the camera (K, 3)."""
+    """Guide stars of a field, brightest first: index, direction (K, 3), magnitude, direction in the camera (K, 3)."""
 
     guide: IntArray
     reference: FloatArray
@@ -90,8 +90,11 @@ class _Field(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """Attitude and ln of the focal length's factor, the directions (N, 3) observed with that, the index in the field
-    of each one's guide star or −1, how many have one (0: the fit diverged), and the rounds that it took."""
+    """Result of matching and refitting.
+
+    Attitude and ln of the focal-length factor, the observed directions (N, 3) with it, the index in the field of each
+    one's guide star or −1, the number that have one (0 if the fit diverged), and the number of rounds.
+    """
 
     matrix: FloatArray
     focal: float
@@ -110,7 +113,7 @@ def _same(one: IntArray, other: IntArray) -> bool:
     return differ == 0
 
 
-@kernel_part
+@kernel
 def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
     """Guide stars on the image at an attitude, the brightest `most` of them."""
     x, y, z = rotate_back(matrix, sky.shape.axes[2])
@@ -124,6 +127,7 @@ def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
         if in_shape(u, v, w, sky.shape):
             near[count] = star
             count += 1
+    # Guide stars are numbered by brightness, so that sorting the indices puts the brightest first.
     sort(near[:count])
     count = min(count, most)
     reference, v_mag = np.empty((count, 3)), np.empty(count)
@@ -136,7 +140,7 @@ def _field_at(matrix: FloatArray, sky: SkyView, most: int) -> _Field:
 
 @kernel_part
 def _focused(stars: Stars, focal: float) -> FloatArray:
-    """Observed directions (N, 3) with the focal length corrected."""
+    """Observed directions (N, 3) for a corrected focal length."""
     observed = np.empty_like(stars.vectors)
     for i in range(len(observed)):
         for axis in range(3):
@@ -144,12 +148,14 @@ def _focused(stars: Stars, focal: float) -> FloatArray:
     return observed
 
 
-@kernel_part
+@kernel
 def _settle(
     matrix: FloatArray, focal: float, stars: Stars, field: _Field, step: float, widen: float, unknowns: int
 ) -> _Fit:
-    """Match and refit at `step` times the stated errors until the match no longer changes, with a first gate `widen`
-    times as wide."""
+    """Match and refit at `step` times the stated errors until the match no longer changes.
+
+    The gate of the first round is `widen` times as wide.
+    """
     sigma, observed, count = stars.sigma, _focused(stars, focal), 0
     gate, index = np.empty(len(sigma)), np.empty(0, np.int64)
     for round_ in range(_ROUNDS):
@@ -181,9 +187,9 @@ def _settle(
     return _Fit(matrix, focal, observed, index, count, _ROUNDS)
 
 
-@kernel_part
+@kernel
 def _weigh(fit: _Fit, stars: Stars, field: _Field, area: float, unknowns: int) -> tuple[float, float]:
-    """ln B of a match by the last fit's own residuals, and the multiple of the stated errors that explains it best."""
+    """ln B of a match from the residuals of the last fit, and the multiple of the stated errors that fits best."""
     observed, index, distance = fit.observed, fit.guide, np.empty(len(fit.guide))
     transform(fit.matrix, field.reference, field.predicted)
     for i in range(len(index)):
@@ -200,24 +206,24 @@ def _weigh(fit: _Fit, stars: Stars, field: _Field, area: float, unknowns: int) -
     return value - clustering_price(stars.excess, index), fitting
 
 
-@kernel_part
+@kernel
 def verify_attitude(
     matrix: FloatArray, focal: float, stars: Stars, sky: SkyView, scale: float, free_focal: bool
 ) -> Verified:
-    """Match, refit until the match no longer changes, weigh; at `scale` times the stated errors, then at narrower
-    gates.
+    """Match and refit until the match no longer changes, and compute ln B; first with a wide gate, then with narrower
+    ones.
 
     Parameters
     ----------
     matrix, focal : (3, 3), float
-        ICRS to camera and ln of the focal length's factor, to start from.
+        Initial attitude, ICRS to camera, and ln of the focal-length factor.
     stars : Stars
-        Observed; magnitudes NaN if they are not to count.
+        Observed stars; their magnitudes are NaN if they are not to be used.
     sky : SkyView
     scale : float
-        Of the first gate, which is 4.5 times this times the stated errors.
+        The first gate is 4.5 × `scale` × the stated errors.
     free_focal : bool
-        Whether ln f is fitted too, 0 ± `FOCAL_SIGMA` a priori; from `FEWEST_FOR_FOCAL` stars on.
+        Whether to fit ln f too, with a prior of 0 ± `FOCAL_SIGMA`; only if at least `FEWEST_FOR_FOCAL` stars match.
     """
     n, operations, unknowns = len(stars.vectors), OVERHEAD, 4 if free_focal else 3
     fewest = FEWEST_FOR_FOCAL if free_focal else 3
@@ -225,14 +231,15 @@ def verify_attitude(
     guides, weighed, pairs, count = len(field.guide), np.empty(0, np.int64), np.empty((n, 2), np.int64), 0
     best, log_b, fitting = matrix, -math.inf, scale
     best_focal = 0.0
-    step, widen = scale, 2.0  # a first match from few stars' attitude may be off by more far away from them
+    # Attitudes from a few stars may have larger errors far away from these, hence the wider first gate.
+    step, widen = scale, 2.0
     while guides >= 3:
         fit = _settle(matrix, focal, stars, field, step, widen, unknowns)
         matrix, focal = fit.matrix, fit.focal
         operations += fit.rounds * n * guides
         if fit.matched < fewest:
             break
-        # a narrower gate that drops none changes nothing
+        # If a narrower gate removes no star, ln B does not change either.
         if free_focal or not _same(fit.guide, weighed):
             weighed = fit.guide
             value, multiple = _weigh(fit, stars, field, sky.area, unknowns)

@@ -18,12 +18,12 @@ _MOST_SAMPLES = 65536
 def bayer_to_grey(mosaic: ArrayLike, pattern: str = "RGGB", *, balance: bool = True) -> NDArray[np.float32]:
     """Raw Bayer mosaic as a grey image of the same size.
 
-    Nothing is interpolated between colours, which would blur stars and correlate the noise. The sky of a mosaic is
-    checkered, as red, green and blue differ in level and noise. With `balance`, each of the four sites is scaled to the
-    sky level and noise of the green pixels: g' = (v − median) × (green noise / noise of this site) + green median,
-    with the median and clipped standard deviation of the sky. A star's light still falls on filters of several colours,
-    which shifts its centroid by up to some tenths of a pixel if its image is narrower than two pixels. Averaging the
-    four sites (`mosaic[0::2, 0::2] + …`) avoids this at half the resolution.
+    There is no interpolation between colours, which would blur stars and correlate the noise. The sky of a mosaic has a
+    checkered pattern, because red, green and blue differ in level and noise. With `balance`, each of the four sites is
+    scaled to the sky level and noise of the green pixels: g' = (v − median) × (green noise / noise of this site) +
+    green median, with the median and the clipped standard deviation of the sky. The light of a star still falls on
+    filters of several colours, which shifts its centroid by up to some tenths of a pixel if its image is narrower than
+    two pixels. Averaging the four sites (`mosaic[0::2, 0::2] + …`) avoids this at half the resolution.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def bayer_to_grey(mosaic: ArrayLike, pattern: str = "RGGB", *, balance: bool = T
     greens = [sites[divmod(k, 2)] for k in range(4) if pattern.upper()[k] == "G"]
     level, noise = np.mean([sky[0] for sky in greens]), np.mean([sky[1] for sky in greens])
     for (row, column), (site_level, site_noise) in sites.items():
-        # a site without noise (black, or coarsely digitised) is only shifted
+        # A site without noise (black, or coarsely digitised) is only shifted.
         gain = noise / site_noise if noise > 0 and site_noise > 0 else 1.0
         grey[row::2, column::2] = (grey[row::2, column::2] - site_level) * gain + level
     return grey

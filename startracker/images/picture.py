@@ -1,4 +1,4 @@
-"""Pictures: pixels stretched as a camera shows them, and pixels or Matplotlib figures as bytes of a file."""
+"""Pictures: pixels stretched for display, and pixels or Matplotlib figures as the bytes of a file."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ _JPEG = {"quality": 92, "subsampling": 0}
 
 _SAMPLES = 500_000
 _BLACK_SIGMA, _SOFT_SIGMA = 2.0, 8.0
-"""Black lies this far below the sky, so that the sky is dark grey; signals above the second are compressed."""
+"""Black level below the sky, and signal above which brightness is compressed, in units of the noise: the sky is dark
+grey."""
 _LEAST_RANGE_SIGMA = 25.0
-"""An image without stars shows its noise as weak as one with stars."""
+"""Least range between sky and white, in units of the noise: the noise of an image without stars is not exaggerated."""
 _LEAST_SIDE_PX = 600
 
 
@@ -42,7 +43,7 @@ def figure_bytes(figure: Figure, form: str = "png", **options: Any) -> bytes:
 
 
 def pixel_bytes(rgb: NDArray[np.uint8], form: str = "png") -> bytes:
-    """Picture (H, W, 3) without margins in one of `FORMATS`; small ones are enlarged by a whole factor."""
+    """Picture (H, W, 3) without margins in one of `FORMATS`; small pictures are enlarged by an integer factor."""
     factor = -(-_LEAST_SIDE_PX // max(rgb.shape[:2]))
     if form in ("svg", "pdf"):
         return _page_of_pixels(rgb, form)
@@ -70,8 +71,8 @@ def _page_of_pixels(rgb: NDArray[np.uint8], form: str) -> bytes:
 
 
 def photograph(image: NDArray[Any], alt: str) -> str:
-    """Image (H, W) as HTML for notebooks: a JPEG picture as a camera shows the sky (`stretch`), averaged to twice the
-    size at which it is shown."""
+    """Image (H, W) as HTML for notebooks: a stretched JPEG picture, averaged to twice the size at which it is
+    displayed."""
     from PIL import Image
 
     height, width = image.shape
@@ -88,15 +89,16 @@ def photograph(image: NDArray[Any], alt: str) -> str:
 
 
 def stretch(image: NDArray[Any]) -> NDArray[np.float32]:
-    """Image as a camera shows the sky: brightness from 0 (black) to 1, the sky dark grey, faint and bright stars seen.
+    """Brightness from 0 (black) to 1 as a camera displays the sky: dark grey sky, with faint and bright stars visible.
 
-    The arcsinh of the signal in units of the noise; black is two standard deviations of the noise below the median.
+    It is the arcsinh of the signal in units of the noise; black is two standard deviations of the noise below the
+    median.
 
     Parameters
     ----------
     image : array, shape (H, W) or (H, W, 3)
-        Any unit; pixels that are not finite are shown as sky. Colours keep their ratios (Lupton et al. 2004, PASP 116,
-        133), and each channel its own black, so that the sky is grey.
+        Any unit; pixels that are not finite are displayed as sky. Colours keep their ratios (Lupton et al. 2004, PASP
+        116, 133); each channel has its own black level, so that the sky is grey.
 
     Returns
     -------
@@ -127,6 +129,7 @@ def _stretched_colours(values: NDArray[np.float32]) -> NDArray[np.float32]:
     blacks = np.array([0.0 if one is None else one[0] - _BLACK_SIGMA * one[2] for one in levels], np.float32)
     signal = np.clip(np.nan_to_num(values) - blacks, 0.0, None)
     grey = signal.mean(axis=2)
+    # One stretch for the mean of the channels, applied as a common factor, keeps the ratios of the colours.
     bright = stretch(values.mean(axis=2))
     shown = signal * (bright / np.maximum(grey, 1e-6))[..., None]
     return np.asarray(shown / np.maximum(shown.max(axis=2, keepdims=True), 1.0))
@@ -140,5 +143,6 @@ def _levels(values: NDArray[np.float32]) -> tuple[float, float, float] | None:
     if not len(sample):
         return None
     sky, top = (float(v) for v in np.percentile(sample, (50.0, 99.95)))
+    # The median absolute deviation is zero if more than half of the pixels are equal, as in dark 8-bit pictures.
     noise = 1.4826 * float(np.median(np.abs(sample - sky))) or float(sample.std()) or 1.0
     return sky, max(top, sky + _LEAST_RANGE_SIGMA * noise), noise

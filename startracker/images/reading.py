@@ -34,9 +34,9 @@ _TURNS: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     7: lambda a: np.rot90(np.swapaxes(a, 0, 1), 2),
     8: np.rot90,
 }
-"""Operation that makes a stored picture upright, by EXIF orientation (Exif 2.32, tag 274); 1 is upright already."""
+"""Operation that makes a stored picture upright, by EXIF orientation (Exif 2.32, tag 274); 1 is already upright."""
 _UNDOES = {6: 8, 8: 6}
-"""Orientation whose operation is the inverse of another's; the others are their own inverse."""
+"""Orientation whose operation is the inverse of another; the others are their own inverse."""
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 """Major brands of HEIF files with HEVC images (ISO/IEC 23008-12, annex B)."""
 _RAW_SUFFIXES = re.compile(r"\.(3fr|arw|cr2|cr3|crw|dng|iiq|nef|nrw|orf|pef|raf|raw|rw2|sr2|srf|srw)", re.IGNORECASE)
@@ -65,7 +65,7 @@ class LoadedImage:
     notes : tuple of str
         Notes for the user: channels averaged, EXIF orientation applied or not.
     colours : float32 array, shape (H, W, 3), optional
-        Red, green and blue of a colour picture, for pictures; only where they were asked for.
+        Red, green and blue of a colour picture, for display; only if requested.
     row_order : {"TOP-DOWN", "BOTTOM-UP"}
         Order of the rows in the file; those of `image` are always from the top down.
     """
@@ -97,9 +97,9 @@ def read_image(
 
     Colour channels are averaged (without transparency), palettes are resolved; 16 bits per channel stay 16 bits.
 
-    The first row of the array is the top of the picture, of every format. FITS files have the bottom row first (FITS
+    For every format the first row of the array is the top of the picture. FITS files have the bottom row first (FITS
     Standard 4.0, section 3.3.2 and figure 1) unless their keyword ROWORDER is ``TOP-DOWN``; their rows are reversed.
-    Frames of `simulator` have the top row first, and say so.
+    Frames of `simulator` have the top row first, and state it.
 
     Parameters
     ----------
@@ -135,9 +135,10 @@ def read_image(
     if bayer is not None:
         if any("averaged" in note for note in loaded.notes):
             raise InputError(f"{file}: has colour channels, so it is not a raw mosaic; omit bayer")
+        # The pattern refers to the rows as stored, so the mosaic is converted before its rows are reversed.
         grey = bayer_to_grey(loaded.image, bayer)
         notes = (*loaded.notes, f"Bayer mosaic {bayer.upper()} balanced to the green pixels")
-        # the gains differ by colour: take the lowest level at which any pixel saturates
+        # The gains differ by colour, so the lowest level at which any pixel saturates is used.
         full = None
         if loaded.saturation_dn is not None:
             top = bayer_to_grey(
@@ -190,8 +191,10 @@ def _read_picture(file: Path, data: bytes, upright: bool) -> LoadedImage:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size is checked here; damaged metadata does not matter
-            # from memory: Pillow maps an uncompressed TIFF file with the rows and columns of the upright picture
+            # Read from memory, because Pillow maps an uncompressed TIFF file with rows and columns of the upright
+            # picture.
             with Image.open(io.BytesIO(data)) as picture:
+                # The header is checked before the pixels are decoded, so that a huge picture needs no memory.
                 width, height = picture.size
                 if width * height > _MOST_PIXELS:
                     raise InputError(f"{file}: {width}×{height} pixels are too many; crop or bin it")
@@ -320,8 +323,11 @@ def _read_fits(file: Path) -> LoadedImage:
 
 
 def row_order_of(header: dict[str, Any]) -> RowOrder:
-    """Order of the rows of a FITS image: ROWORDER, which cameras' programs write, else the standard's, from the bottom
-    up. Frames of `simulator` that do not state it, known by CAM_FX, have the top row first."""
+    """Order of the rows of a FITS image.
+
+    It is ROWORDER, which cameras' programs write, or else that of the standard, from the bottom up. Frames of
+    `simulator` that do not state it, which have the keyword CAM_FX, have the top row first.
+    """
     stated = str(header.get("ROWORDER", "")).strip().upper()
     if stated in ("TOP-DOWN", "BOTTOM-UP"):
         return "TOP-DOWN" if stated == "TOP-DOWN" else "BOTTOM-UP"

@@ -15,9 +15,9 @@ _C2_NM_K = 1.438776877e7
 _CORE_PX = 2.0
 _MOST_STARS = 4000
 _REACH_PX = (8, 48)
-"""Half width of the window that the faintest and the brightest star can tint."""
+"""Half width, px, of the window that the faintest and the brightest star tint."""
 _WHITE_SHARE = 0.02
-"""Weight of white, as a share of the flux of the faintest star: the sky between the stars stays grey."""
+"""Weight of white as a share of the flux of the faintest star: the sky between the stars stays grey."""
 
 
 def rgb_of_b_v(b_v: FloatArray) -> FloatArray:
@@ -82,6 +82,8 @@ def star_tint(shape: tuple[int, int], xy: FloatArray, flux: FloatArray, b_v: Flo
     faintest = float(flux[order[-1]])
     rgb = rgb_of_b_v(b_v)
     for i in order:
+        # The reach of a Moffat profile grows slowly with the flux; the fourth root keeps the windows of bright stars
+        # small.
         reach = int(np.clip(_REACH_PX[0] * (flux[i] / faintest) ** 0.25, *_REACH_PX))
         (column, row), (x, y) = np.round(xy[i]).astype(int), xy[i]
         rows = np.arange(max(row - reach, 0), min(row + reach + 1, shape[0]))
@@ -89,6 +91,7 @@ def star_tint(shape: tuple[int, int], xy: FloatArray, flux: FloatArray, b_v: Flo
         if not (len(rows) and len(columns)):
             continue
         square = (rows[:, None] - y) ** 2 + (columns[None, :] - x) ** 2
+        # The fourth channel sums the weights, by which the sum of the colours is divided at the end.
         weight = flux[i] / faintest * (1.0 + square / _CORE_PX**2) ** -1.5
         total[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += weight[..., None] * np.append(rgb[i], 1.0)
     total += np.float32(_WHITE_SHARE)

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 _LENS_PARAMETERS = ("f", "aspect", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
-"""Those of `startracker.geometry.lens.PARAMETERS`, of every projection."""
+"""Parameters of `startracker.geometry.lens.PARAMETERS` for every projection."""
 
 
 @dataclass(frozen=True)

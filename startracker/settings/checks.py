@@ -53,6 +53,7 @@ def check_settings(settings: Any, **limits: tuple[float, float]) -> None:
 
 
 def _check_number(name: str, value: Any, least: float, most: float, *, whole: bool) -> None:
+    # Python counts a truth value as an integer; as a setting it is a mistake.
     good = isinstance(value, Integral if whole else Real) and not isinstance(value, bool | np.bool_)
     if not (good and least <= value <= most):
         within = f"at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"

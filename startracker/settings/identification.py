@@ -75,12 +75,12 @@ class IdentificationSettings:
     max_operations_free_scale: int = 5_000_000_000
 
     def __new__(cls, *_values: Any, **keys: Any) -> Self:
-        """An object of this class; with keywords of single methods, of `AnyIdentificationSettings`."""
+        """An object of this class; with keywords of single methods, an object of `AnyIdentificationSettings`."""
         if cls is IdentificationSettings and keys.keys() & _OWN:
             names, kinds = sorted(keys.keys() & _OWN), sorted({kind.__name__ for kind in SETTINGS.values()})
             text = f"IdentificationSettings: {', '.join(names)} now belong to the identifier's own settings"
             warnings.warn(f"{text} ({', '.join(kinds)})", FutureWarning, stacklevel=2)
-            return object.__new__(AnyIdentificationSettings)  # type: ignore[return-value]  # a subclass, made by itself
+            return object.__new__(AnyIdentificationSettings)  # type: ignore[return-value]  # a subclass, converted by itself
         return object.__new__(cls)
 
     def __post_init__(self) -> None:
@@ -99,8 +99,8 @@ class IdentificationSettings:
         of_kind("settings", settings, (IdentificationSettings, type(None)))
         if isinstance(settings, cls):
             return settings
-        made: Self = _converted(cls, settings)  # type: ignore[arg-type]  # a class is hashable
-        return made
+        converted: Self = _converted(cls, settings)  # type: ignore[arg-type]  # a class is hashable
+        return converted
 
     __pydantic_config__ = FORBID
 
@@ -206,12 +206,12 @@ class AnyIdentificationSettings(IdentificationSettings):
     """All except `pattern_hash`: maximum difference between measured and catalogue separation; None: from the camera
     and the centroid errors. Greyling 1995: 0.2°."""
     magnitude_tolerance: float = 2.0
-    """`adaptive` and `match_groups`: largest difference between measured and catalogued magnitude after the frame's
-    zero point is subtracted."""
+    """`adaptive` and `match_groups`: maximum difference between measured and catalogue magnitude after subtraction of
+    the frame's zero point."""
     max_stars: int | None = None
     """`match_groups`, `pyramid` and triads: number of stars used, the brightest; None: 8, 30 and 12, respectively."""
     group_threshold: int = 5
-    """`match_groups`: first limit on the match-group size; lowered from the largest group found."""
+    """`match_groups`: initial threshold of the group size, which is decreased from the largest group found."""
     max_groups_per_star: int = 11
     """`match_groups`: number of groups kept for each observed star (Greyling 1995: group size limit)."""
     rotation_tolerance_deg: float = 5.0
@@ -223,7 +223,7 @@ class AnyIdentificationSettings(IdentificationSettings):
     vote_number: int = 2
     """Triads: minimum number of votes for a guide star in a group."""
     three_stars: bool = True
-    """Triads: where only three stars are seen and all triads agree, one vote is enough."""
+    """Triads: accept a single vote if only three stars are observed and all triads agree."""
 
     __repr__ = changed_fields
 
@@ -236,7 +236,7 @@ SETTINGS: dict[str, type[IdentificationSettings]] = {
     "triads": TriadSettings,
     "triads_integer": TriadSettings,
 }
-"""Identifier to the class of its settings."""
+"""Class of the settings of each identifier."""
 
 _OWN = {f.name for f in dataclasses.fields(AnyIdentificationSettings)} - {
     f.name for f in dataclasses.fields(IdentificationSettings)
@@ -251,6 +251,7 @@ def _converted(kind: Any, settings: IdentificationSettings | None) -> Any:
     if type(settings) not in (IdentificationSettings, AnyIdentificationSettings):
         raise InputError(f"{type(settings).__name__} are the settings of another identifier; give {kind.__name__}")
     shared = {f.name: getattr(settings, f.name) for f in dataclasses.fields(kind) if hasattr(settings, f.name)}
+    # None stands for the method's own default, which the class of the method has.
     if shared.get("max_stars", 0) is None:
         del shared["max_stars"]
     return kind(**shared)

@@ -1,4 +1,4 @@
-"""Algorithms by name: built-in ones from a dict, others from entry points."""
+"""Algorithms by name: built-in ones from a dictionary, others from entry points."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtrc
 
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
@@ -21,15 +22,17 @@ from startracker.observer import Observer
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracker import StarTracker
 from startracker.tracking.looking import Expected, Seen
-from startracker.tracking.matching import track
+from startracker.tracking.matching import GATE2, track
 from startracker.tracking.mekf import Innovation, Mekf
-from startracker.unexplained import Unexplained, is_part_hidden, unexplained_of
+from startracker.unexplained import LEAST_SHARE, Unexplained, is_part_hidden, unexplained_of
 
 _LEAST_WORTH = math.log(100.0)
 """Minimum evidence for a filter update with stars that are too few for an attitude."""
 _REJECT_SIGMAS = 3.7
 _FEWEST_TO_REJECT = 4
 _FEWEST_FOR_ATTITUDE = 3
+_BESIDE_CHANCE = 0.01
+"""Probability by chance below which stars are beside guide stars."""
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))
 
 
@@ -50,6 +53,14 @@ class Followed:
     partner: IntArray
     residual_px: FloatArray
     log_chance: float
+    is_selective: bool
+    """Whether stars beside their guide stars are left out (`leaves_out_stars`)."""
+
+    def is_doubtful(self, camera: Camera) -> bool:
+        """Whether only the tracker can judge the frame: bright stars stay unexplained, perhaps as they are those of
+        another field, or stars are left out that larger errors would explain."""
+        left = self.unexplained(camera)
+        return self.is_selective or left.contradicts or left.is_doubtful or left.is_uneven
 
     def unexplained(self, camera: Camera) -> Unexplained:
         """Bright stars that the match leaves unexplained (`startracker.unexplained`)."""
@@ -94,15 +105,8 @@ class Followed:
         """
         camera, guide, seen, stars = tracker.camera, tracker.guide, self.seen, self.stars
         chosen = self.expected.index[self.partner]
-        matched = MatchedStars(
-            xy=seen.xy[stars],
-            catalog_id=guide.catalog.id[chosen],
-            name=guide.catalog.star_name[chosen],
-            v_mag=guide.v_mag[chosen],
-            flux=seen.flux[stars],
-            residual_px=self.residual_px,
-            used=np.ones(len(stars), np.bool_),
-            sigma_px=seen.sigma_px[stars],
+        matched = MatchedStars.of(
+            guide, chosen, seen.xy[stars], self.residual_px, flux=seen.flux[stars], sigma_px=seen.sigma_px[stars]
         )
         return Solution(
             status=Status.SOLVED,
@@ -187,7 +191,75 @@ def follow(
         partner=partner[stars],
         residual_px=residual,
         log_chance=log_chance(evidence),
+        is_selective=leaves_out_stars(prediction, after, seen, expected, stars, partner[stars], pixel),
     )
+
+
+def leaves_out_stars(
+    prediction: Mekf,
+    after: Mekf,
+    seen: Seen,
+    expected: Expected,
+    stars: IntArray,
+    partner: IntArray,
+    pixel_rad: float,
+) -> bool:
+    """Whether stars that are not matched are beside guide stars that are not, closer than false stars are by chance.
+
+    A match with a prediction assumes errors as stated. If they are larger, or the focal length is wrong, the stars that
+    agree are those of one part of the image, with an attitude of their own, and the others are beside their guide
+    stars. The tracker, which weighs larger errors and other focal lengths, decides between the two.
+
+    Of n unmatched stars any is closer than d to one of K guide stars by chance with the probability p = K π d² / A,
+    with A the area searched, and m of them with that of the binomial distribution. A star counts only where the
+    prediction allows it to be its guide star: beside a position that is known, it is a blend or a false one. A few
+    stars beside many that match are blends as well (`LEAST_SHARE`).
+
+    Parameters
+    ----------
+    prediction, after : Mekf
+        Before and after the update with the matched stars.
+    seen, expected : Seen, Expected
+        Detected stars, and guide stars at their predicted positions.
+    stars, partner : (M,)
+        Matched rows of both.
+    pixel_rad : float
+        Of the camera.
+    """
+    others = np.setdiff1d(np.arange(len(seen.xy)), stars)
+    guides = np.setdiff1d(np.arange(len(expected.index)), partner)
+    if not len(others) or not len(guides):
+        return False
+    moved = expected.directions[guides] @ after.matrix.T
+    apart2 = np.sum((seen.vectors[others][:, None] - moved) ** 2, axis=2)
+    nearest = np.argmin(apart2, axis=1)
+    chance = len(guides) * math.pi * apart2[np.arange(len(others)), nearest] / seen.area_sr
+    fewest = math.ceil(LEAST_SHARE * len(stars))
+    if not _are_beside(chance, len(others), fewest):
+        return False
+    allowed = _allows(prediction, seen, expected, others, guides[nearest], pixel_rad)
+    return _are_beside(chance[allowed], len(others), fewest)
+
+
+def _are_beside(chance: FloatArray, number: int, fewest: int) -> bool:
+    """Whether at least some of a number of stars are closer to guide stars than by chance, each with its own chance."""
+    closest = np.sort(chance[chance < 1.0])
+    more_than = np.arange(fewest - 1, len(closest))
+    return bool((bdtrc(more_than, number, closest[more_than]) < _BESIDE_CHANCE).any())
+
+
+def _allows(
+    prediction: Mekf, seen: Seen, expected: Expected, stars: IntArray, guides: IntArray, pixel_rad: float
+) -> NDArray[np.bool_]:
+    """Whether each star may be a guide star, both (N,), with the errors of the prediction and of the star."""
+    towards = expected.predicted[guides]
+    away = seen.vectors[stars] - towards
+    moved = np.cross(towards[:, None], np.eye(3)).transpose(0, 2, 1)  # by a rotation about each axis
+    variance = (seen.sigma_px[stars] * pixel_rad) ** 2
+    covariance = moved @ prediction.attitude_covariance @ moved.transpose(0, 2, 1)
+    covariance += variance[:, None, None] * np.eye(3)
+    distance2 = np.einsum("ni,ni->n", away, np.linalg.solve(covariance, away[..., None])[..., 0])
+    return np.asarray(distance2 <= GATE2)
 
 
 def _fitting(residual: FloatArray, sigma: FloatArray) -> NDArray[np.bool_] | None:

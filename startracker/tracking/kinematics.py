@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray
 from startracker.estimation.directions import normal_equations
 from startracker.geometry.linalg import factorise, substitute, transform
-from startracker.kernels import kernel, kernel_part
 
 _SMALL = 0.03
 """Angle of a step, rad, below which series are used, as the closed forms lose precision."""
@@ -21,7 +21,7 @@ BLIND = 1e-12
 """Relative limit of the information about an axis, below which it is rounding error: a single star gives no roll."""
 
 
-@kernel_part
+@kernel
 def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Φ, ∫Φ, ∫∫Φ and ∫ (∫Φ)(∫Φ)ᵀ over a step at a constant rate, each (3, 3).
 

@@ -13,16 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from startracker._compiled import kernel, kernel_part
 from startracker.catalog.sky_view import SkyView, in_shape, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.estimation.directions import fit_turn
 from startracker.geometry.linalg import cross, inverse, rotate_back, rotated, transform
-from startracker.kernels import kernel, kernel_part
 from startracker.observer import aberrated
 from startracker.sorting import order_of, sort
 
 
-@kernel_part
+@kernel
 def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> float:
     """ln of the likelihood ratio of matches, averaged over the detection limit and the number of true stars.
 
@@ -58,7 +58,7 @@ def log_assignments(gain: FloatArray, rank: IntArray, n: int, in_field: int) -> 
     return highest + math.log(total / in_field)
 
 
-@kernel_part
+@kernel
 def log_evidence(
     observed: FloatArray,
     sigma: FloatArray,
@@ -313,7 +313,7 @@ def track(
     return match.partner, -turn, posterior, evidence
 
 
-@kernel_part
+@kernel
 def _consensus(
     observed: FloatArray, sigma: FloatArray, predicted: FloatArray, covariance: FloatArray, spread: Spread
 ) -> FloatArray:

@@ -297,11 +297,11 @@ class TrackingSession:
 
     # ------------------------------------------------------------------ following
     def _follow(self, seen: Seen | None, expected: Expected) -> Followed | None:
+        """The frame matched with the prediction; None if it cannot be, or only the tracker can judge it."""
         if seen is None:
             return None
         followed = self._watched.follow(self.tracker.camera, seen, expected, self.tracker.identification)
-        contradicted = followed is not None and followed.unexplained(self.tracker.camera).contradicts
-        return None if contradicted else followed
+        return None if followed is None or followed.is_doubtful(self.tracker.camera) else followed
 
     def _follow_centroids(
         self, points: FloatArray, flux: ArrayLike | None, observer: Observer | None

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.core import FloatArray, IntArray
-from startracker.kernels import kernel, kernel_part
 from startracker.sorting import median
 
 FloatImage = NDArray[np.float32]
@@ -19,7 +19,7 @@ _NOISE_FREE = 1e-5
 """Minimum noise of a window relative to the peak of the brightest star."""
 
 
-@kernel_part
+@kernel
 def _background(image: NDArray[Any], x: int, y: int, half: int, rim: FloatArray) -> tuple[float, float]:
     """Level and noise of a window's rim, whose pixels are copied to `rim`; zeros without pixels."""
     count = 0

@@ -1,7 +1,7 @@
-"""Stars trailed by the camera's turn: the motion that they share, and where each stood in the middle of the exposure.
+"""Stars trailed by the rotation of the camera: their common motion, and their positions in the middle of the exposure.
 
-Takes an image, its background and what is known of its trails; gives `Trails`, their middles and the motion, and from
-these with a camera the positions of the stars at mid-exposure.
+The input is an image, its background and the trails already known in it; the result is `Trails`, with their middles and
+the motion. Together with a camera these give the positions of the stars at mid-exposure.
 """
 
 from startracker.trails.find import find_trails

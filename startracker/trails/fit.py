@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
 from startracker.detection.thresholds import RING_SHARE
 from startracker.detection.tiles import Plane
 from startracker.detection.values import is_value
 from startracker.geometry.linalg import factorise, substitute
-from startracker.kernels import kernel, kernel_part
 from startracker.trails.model import (
     ANGLE,
     BLOCK,
@@ -36,22 +36,26 @@ from startracker.trails.model import (
 FloatImage = NDArray[np.float32]
 
 _FIRST_STEPS, _STEPS = 3, 10
-"""At most, before pixels are tested for outliers and after: far from the minimum all of a bright trail would be."""
+"""Largest numbers of steps before and after pixels are tested for outliers: far from the minimum, all pixels of a
+bright trail would be outliers."""
 _CONVERGED = 1e-2
-"""Decrease of χ² that is none: a position within 0.1 of its standard error of the minimum."""
+"""Decrease of χ² at which the fit has converged: the position is within 0.1 standard errors of the minimum."""
 _CLIP = 4.0
-"""Noise in a pixel at most counted along a line, so that a hot pixel or a cosmic ray does not decide where it ends."""
+"""Signal of a pixel, in units of its noise, at which it is clipped in sums along a line, so that a hot pixel or a
+cosmic ray does not determine where the line ends."""
 _OUTLIER = 5.0
 _BESIDE = 2
-"""Pixels on either side of a line whose light is counted."""
+"""Number of pixels on either side of a line whose light is summed."""
 _BRIGHT_SNR = 30.0
-"""Above it a trail has its own direction and length, which are then known better than from the frame's motion."""
+"""Signal-to-noise ratio above which direction and length of a trail are fitted, because they are then more accurate
+than those from the frame's motion."""
 _BESIDE_FIRST, _BESIDE_LAST = 2, 7
-"""Pixels beside a bright trail between which another one is looked for: two images are one up to about 2 px, and
-farther away it is found as any other."""
+"""Range of the distance, px, beside a bright trail in which another one is searched for: two trails nearer than about 2
+px merge into one, and farther trails are found by the ordinary search."""
 _SWEEPS = 2
 _GOOD_CHI2, _ASIDE_SIGMAS = 2.0, 2.5
-"""χ² a degree of freedom above which a fit is begun again so many widths beside its first start."""
+"""χ² per degree of freedom above which a fit is repeated, and the distance of its new start beside the first, in
+widths."""
 
 
 class Measured(NamedTuple):
@@ -60,13 +64,13 @@ class Measured(NamedTuple):
     Parameters
     ----------
     table : (M, 7)
-        Parameters.
+        Parameters, see `startracker.trails.model`.
     covariance : (M, 3, 3)
-        Of x, y and flux.
+        Covariance of x, y and flux.
     chi2, freedom : (M,)
-        χ² a degree of freedom, and these.
+        χ² per degree of freedom, and degrees of freedom.
     alone : bool (M,)
-        Whether direction and length are those of the trail, not of the frame's motion.
+        Whether direction and length were fitted to the trail itself, rather than given by the frame's motion.
     """
 
     table: FloatArray
@@ -89,18 +93,18 @@ def fit_trail(
     noise : Plane
         Standard deviation of a pixel, DN.
     start : (7,)
-        A flux that is not positive is estimated.
+        Initial parameters; a flux that is not positive is estimated.
     size : int
-        How many parameters are fitted: `POSITION`, `SHAPE` or `LINE`.
+        Number of parameters to fit: `POSITION`, `SHAPE` or `LINE`.
     slack : float
-        How far, in pixels, the window reaches beyond the trail.
+        Distance by which the window extends beyond the trail, px.
     inverse_gain : float
-        DN an electron, for the photon noise; 0: none.
+        DN per electron, for the photon noise; 0 for none.
 
     Returns
     -------
-    parameters (7,), covariance of those fitted (size, size), χ² a degree of freedom (infinite: no fit), degrees of
-    freedom
+    parameters (7,), covariance (size, size) of the fitted ones, χ² per degree of freedom (infinite if the fit fails),
+    and degrees of freedom
     """
     p, trial = start.copy(), start.copy()
     pixels, usable = window_pixels(residual, noise, p, slack)
@@ -115,12 +119,14 @@ def fit_trail(
             return p, none, np.inf, 0
     chi2, outliers, damping = np.inf, usable, 0.0
     for outlier, steps in ((np.inf, _FIRST_STEPS if size == POSITION else _STEPS), (_OUTLIER, _STEPS)):
-        if outliers > 0:  # without one the equations stay the same
+        # Without outliers in the first pass the equations of the second are the same.
+        if outliers > 0:
             chi2, outliers = linearise(pixels, p, size, inverse_gain, outlier, work, normal, right)
             damping = 1e-3
         done = False
         for _ in range(steps):
             factor[:], step[:] = normal, right
+            # Marquardt's damping: each diagonal element is raised in proportion to itself, so that units do not matter.
             for i in range(size):
                 factor[i, i] *= 1.0 + damping
             if not factorise(factor, size):
@@ -158,10 +164,10 @@ def fit_trail(
 
 @kernel
 def light_along(residual: FloatImage, noise: Plane, p: FloatArray, reach: int) -> FloatArray:
-    """Running sums (2 reach + 2,) of the light along a trail's line, from `reach` px before its middle to as far after.
+    """Cumulative sums (2 reach + 2,) of the light along a trail's line, from −`reach` to `reach` px about its middle.
 
-    The light of a pixel's length is the residual over the noise, clipped, weighted across the line with a Gaussian a
-    little wider than the star image; white noise gives it standard deviation 1.
+    The light per pixel of length is the residual over the noise, clipped, and weighted across the line with a Gaussian
+    slightly wider than the star image; white noise has a standard deviation of 1 in it.
     """
     cos, sin = math.cos(p[ANGLE]), math.sin(p[ANGLE])
     weights, square = np.empty(2 * _BESIDE + 1), 0.0
@@ -183,13 +189,13 @@ def light_along(residual: FloatImage, noise: Plane, p: FloatArray, reach: int) -
 
 @kernel
 def best_stretches(total: FloatArray, lengths: IntArray) -> tuple[FloatArray, FloatArray]:
-    """For each length (N,), px, of the stretches that contain the middle of a line the largest sum / √length, which
-    is its signal-to-noise ratio, and the middle of this stretch, px from that of the line.
+    """Most significant stretch of each length (N,), px, among those that contain the middle of a line.
 
+    Returns its sum / √length, which is its signal-to-noise ratio, and its middle relative to that of the line, px.
     `total` is from `light_along`.
     """
     reach = len(total) // 2 - 1
-    best, middle = np.full(len(lengths), -np.inf), np.zeros(len(lengths))
+    best, middle = np.empty(len(lengths)), np.empty(len(lengths))
     for n in range(len(lengths)):
         length, most, where = lengths[n], -np.inf, reach
         for first in range(max(reach - length + 1, 0), min(reach + 1, len(total) - length)):
@@ -204,15 +210,16 @@ def best_stretches(total: FloatArray, lengths: IntArray) -> tuple[FloatArray, Fl
 def _first_fit(
     residual: FloatImage, noise: Plane, start: FloatArray, inverse_gain: float, threshold: float
 ) -> tuple[FloatArray, FloatArray, float, int]:
-    """`fit_trail` of a trail of known length and direction that was searched for; infinite χ²: too little light."""
+    """`fit_trail` for a trail of known length and direction from a search; χ² is infinite if it has too little
+    light."""
     first, length = start.copy(), round(2.0 * start[HALF])
-    # noise gives the fit of a long trail several minima along it: begin at the deepest within some pixels
+    # Noise causes several minima along a long trail; the fit starts at the deepest one within some pixels.
     away = min(max(0.05 * length, 3.0), 6.0)
     total = light_along(residual, noise, first, math.ceil(first[HALF] + away))
     _shift(first, best_stretches(total, np.full(1, length))[1][0], 0.0)
     p, covariance, chi2, freedom = fit_trail(residual, noise, first, POSITION, 2.0, inverse_gain)
     for side in (-1.0, 1.0):
-        # a search of clipped light finds bright trails to within some widths only
+        # A search in clipped light locates bright trails only to within some widths.
         if chi2 > _GOOD_CHI2:
             aside = first.copy()
             _shift(aside, 0.0, side * _ASIDE_SIGMAS * first[SIGMA])
@@ -220,23 +227,24 @@ def _first_fit(
             if other[2] < chi2:
                 p, covariance, chi2, freedom = other
     strong = chi2 < np.inf and p[FLUX] >= threshold * math.sqrt(covariance[FLUX, FLUX])
+    # A fit that moves by more than a quarter of its length has found another trail.
     near = math.hypot(p[X] - start[X], p[Y] - start[Y]) <= 0.5 * p[HALF]
     return p, covariance, chi2 if strong and near else np.inf, freedom
 
 
 @kernel_part
 def _shift(p: FloatArray, along: float, across: float) -> None:
-    """Move a trail along and across itself, px, in place."""
+    """Move a trail along and across its direction, px, in place."""
     cos, sin = math.cos(p[ANGLE]), math.sin(p[ANGLE])
     p[X] += along * cos - across * sin
     p[Y] += along * sin + across * cos
 
 
-@kernel_part
+@kernel
 def _strongest_beside(residual: FloatImage, noise: Plane, p: FloatArray) -> tuple[FloatArray, float]:
-    """Where beside a bright trail, whose light is subtracted, another one is likeliest, and its signal-to-noise ratio.
+    """Most likely trail beside a bright one, whose light has been subtracted, and its signal-to-noise ratio.
 
-    A search in bins sees no two trails within some pixels of each other.
+    The search in bins cannot separate two trails within some pixels of each other.
     """
     best, most, length = p.copy(), 0.0, max(round(2.0 * p[HALF]), 1)
     for k in range(2 * (_BESIDE_LAST - _BESIDE_FIRST + 1)):
@@ -256,16 +264,16 @@ def _strongest_beside(residual: FloatImage, noise: Plane, p: FloatArray) -> tupl
 def measure_trails(
     residual: FloatImage, noise: Plane, starts: FloatArray, inverse_gain: float, threshold: float, most: int
 ) -> Measured:
-    """Fits of trails, each with the light of the others subtracted; the residual is left without them.
+    """Fit trails, each with the light of the others subtracted, and subtract all of them from the residual, in place.
 
     Parameters
     ----------
     starts : (N, 7)
-        Brightest first.
+        Initial parameters, brightest first.
     threshold : float
-        Least signal-to-noise ratio.
+        Least signal-to-noise ratio of a trail.
     most : int
-        Trails wanted; a bright one that another runs beside adds this one.
+        Number of trails wanted; neighbours found beside bright trails are counted in addition.
     """
     room = 2 * len(starts)
     found, covariances, alone = np.empty((room, 7)), np.empty((room, 3, 3)), np.zeros(room, np.bool_)
@@ -288,6 +296,7 @@ def measure_trails(
                 subtract_trail(residual, p, 1.0)
                 found[count], covariances[count], chi2s[count], freedoms[count] = p, covariance[:3, :3], chi2, freedom
                 count += 1
+    # Overlapping trails are fitted again in turn, each with its own light restored and the others' subtracted.
     for sweep in range(_SWEEPS):
         for n in range(count):
             crowded = False

@@ -1,4 +1,4 @@
-"""Lines that stand out of an image: where trails may be, in any direction or along one motion."""
+"""Search for lines in an image that may be trails, in any direction or along one motion."""
 
 from __future__ import annotations
 
@@ -8,44 +8,46 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.core import FloatArray
 from startracker.detection.forms import motion_at
 from startracker.detection.matched import matched_kernel, quantiles
 from startracker.detection.tiles import Plane
-from startracker.kernels import kernel, pixel_kernel
 
 FloatImage = NDArray[np.float32]
 
 SHORTEST_PX = 8.0
 LONGEST_SHARE = 0.3
-"""Of the image's smaller side: of longer trails too few lie within it."""
+"""Longest line as a share of the image's smaller side: too few longer trails lie completely within the image."""
 _OFF_LINE_PX = 1.5
-"""A line of the search misses the end of a trail by no more than this."""
+"""Largest distance of a line of the search from the end of a trail, px."""
 _CLIP = 4.0
-"""Noise in a bin at most counted: what is not a trail (a star, a cosmic ray) is far brighter than long, and must not be
-found in every line that runs across it."""
+"""Signal of a bin, in units of its noise, at which it is clipped: an object that is not a trail (a star, a cosmic ray)
+is far brighter than it is long, and must not be found in every line that crosses it."""
 COARSE_SIGMA = 5.5
-"""Chance exceeds it in some ten million positions and lines about once in five frames; then four must fit a motion."""
+"""Threshold of the search: noise exceeds it in some ten million positions and lines about once in five frames, and then
+four lines must fit one motion."""
 _MOST_LINES = 40
 _LOOKED_AT = 600
 _NARROW_RAD = math.radians(8.0)
-"""Directions searched on either side of one that the objects of a frame suggest."""
+"""Range of directions that is searched on either side of one that the objects of a frame suggest."""
 _ROWS_AT_ONCE = 16
 _BIN_MIDDLE = np.array([0.5, 0.5, 0.0, 0.0])
-"""A bin's middle from its corner, in the columns of a line."""
+"""Centre of a bin relative to its corner, in the columns of a line."""
 
 
-@pixel_kernel
+@kernel
 def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
-    """Residual / noise summed over squares, divided by `side`: white noise keeps standard deviation 1.
+    """Residual / noise, summed over squares of `side` px and divided by `side`, so that white noise keeps σ = 1.
 
-    Pixels that are not finite count as background; rows and columns that fill no square are left out.
+    Pixels that are not finite count as background; rows and columns at the end that do not fill a square are ignored.
     """
     height, width = residual.shape[0] // side, residual.shape[1] // side
     out, line = np.empty((height, width), np.float32), np.empty(width * side, np.float32)
     zero, last = np.float32(0.0), len(noise.lines) - 1
     for y in range(height):
-        first = residual[y * side]  # without zeros to begin with: a quarter faster
+        # The first row is copied rather than added to zeros, which saves a quarter of the time.
+        first = residual[y * side]
         for x in range(width * side):
             line[x] = first[x] if abs(first[x]) < np.inf else zero
         for j in range(1, side):
@@ -64,32 +66,32 @@ def bin_residual(residual: FloatImage, noise: Plane, side: int) -> FloatImage:
     return out
 
 
-@pixel_kernel
+@kernel
 def best_lines(
     bins: FloatImage, slopes: FloatArray, every: NDArray[np.int64], spans: NDArray[np.int64]
 ) -> tuple[FloatImage, NDArray[np.int32]]:
-    """Largest significance of the lines centred on each bin, and which line it is.
+    """Highest significance of the lines centred on each bin, and the number of that line.
 
-    A line has one bin a column. Sums over it are differences of running sums along the sheared rows (Brady 1998), so
+    A line has one bin per column. Its sum is a difference of cumulative sums along the sheared rows (Brady 1998), so
     that all lengths of a slope cost as much as one.
 
     Parameters
     ----------
     bins : (W, H)
-        Noise of standard deviation 1; column by column, so that neighbours in memory share a sum's position in the
-        line.
+        Bins with noise of standard deviation 1, stored column by column, so that neighbours in memory belong to the
+        same column of the line.
     slopes : (K,)
-        Rows a column.
+        Rows per column.
     every : (M,)
-        Length m is tried with every that-many-th slope: short lines need few.
+        Length m is combined with every `every[m]`-th slope, because short lines need fewer directions.
     spans : (K, M)
-        Columns of each line.
+        Number of columns of each line.
 
     Returns
     -------
     best : (W, H)
-        Sum over the line / √bins, beyond the upper and lower border with nothing to be summed; −∞ where the line
-        leaves the image on the left or right.
+        Sum over the line / √bins; bins above and below the image count as zero. −∞ if the line leaves the image on the
+        left or right.
     line : (W, H)
         Slope number × M + length number.
     """
@@ -98,6 +100,7 @@ def best_lines(
     line = np.zeros((width, height), np.int32)
     offset = np.empty(width, np.int64)
     lengths = spans.shape[1]
+    # A shear moves the columns by up to half the width times the slope, up or down, so the sheared image is taller.
     tallest = height + 2 * (int(np.ceil(0.5 * width * np.abs(slopes).max())) + 1)
     running = np.zeros((width + 1, tallest), np.float32)
     for k in range(len(slopes)):
@@ -106,7 +109,7 @@ def best_lines(
         low, high = offset.min(), offset.max()
         rows = height + high - low
         for x in range(width):
-            # rows of the sheared image that this column has
+            # Rows of the sheared image that this column covers.
             first = high - offset[x]
             last = first + height
             before, after, column = running[x], running[x + 1], bins[x]
@@ -136,20 +139,20 @@ def best_lines(
 
 @kernel
 def _keep_apart(bins: FloatImage, lines: FloatArray, width: float, threshold: float, most: int) -> NDArray[np.int64]:
-    """Lines, taken in order, that stand out of what those before them leave.
+    """Indices of the lines, taken in order, that remain significant without the bins of the lines before.
 
     Parameters
     ----------
     bins : (H, W)
-        Noise of standard deviation 1.
+        Bins with noise of standard deviation 1.
     lines : (N, 4)
         Centre x and y, half length along x and y, bins; most significant first.
     width : float
-        Bins this near to a line taken belong to it.
+        Distance from an accepted line, in bins, within which bins belong to it.
     threshold : float
-        Least sum over the free bins / √(all bins).
+        Least value of sum over the free bins / √(all bins of the line).
     most : int
-        Lines wanted.
+        Largest number of lines.
     """
     height, columns = bins.shape
     free = np.ones((height, columns), np.bool_)
@@ -179,28 +182,29 @@ def _keep_apart(bins: FloatImage, lines: FloatArray, width: float, threshold: fl
 
 
 def candidate_lines(bins: FloatImage, unit: int, direction_rad: float | None = None) -> FloatArray:
-    """Lines (N, 4), px: centre, half length along x and y, the most significant first.
+    """Most significant lines (N, 4) of an image, px: centre, and half the length along x and y.
 
     Parameters
     ----------
     bins : (H, W)
-        Squares of 2 × `unit` px, noise of standard deviation 1.
+        Squares of 2 × `unit` px with noise of standard deviation 1.
     unit : int
         Scale of the search, px.
     direction_rad : float, optional
-        Only lines within 8° of it.
+        Search only lines within 8° of this direction.
     """
     longest = LONGEST_SHARE * 2.0 * unit * min(bins.shape)
     lengths = SHORTEST_PX * unit * math.sqrt(2.0) ** np.arange(40)
     lengths = lengths[lengths <= max(longest, SHORTEST_PX * unit)]
     tables = []
+    # Lines within 45° of the x axis are searched in bins of 4 × 2 units, the others in the transposed image.
     for turned in (False, True):
         half = bins.T if turned else bins
         half = half[:, : half.shape[1] // 2 * 2]
         rows = np.ascontiguousarray(half[:, ::2] + half[:, 1::2]) * np.float32(math.sqrt(0.5))
         angle = None if direction_rad is None else 0.5 * math.pi - direction_rad if turned else direction_rad
         table = _lines_one_way(rows, lengths / unit, angle)
-        # a line of the turned image runs along y
+        # A line of the transposed image runs along y.
         scale = unit * np.array([4.0, 2.0, 4.0, 2.0])
         table[:, :4] = (table[:, :4] + _BIN_MIDDLE) * scale - _BIN_MIDDLE
         tables.append(table[:, [1, 0, 3, 2, 4]] if turned else table)
@@ -213,15 +217,18 @@ def candidate_lines(bins: FloatImage, unit: int, direction_rad: float | None = N
 
 
 def _lines_one_way(rows: FloatImage, lengths: FloatArray, angle_rad: float | None) -> FloatArray:
-    """Lines within 45° of the x axis (N, 5): centre, half lengths, significance; bins of 4 × 2 px."""
+    """Lines (N, 5) within 45° of the x axis, in bins of 4 × 2 px: centre, half lengths, significance."""
+    # Two adjacent slopes differ at the end of the longest line by twice the largest distance allowed.
     step = 4.0 * _OFF_LINE_PX / float(lengths.max())
     slopes = np.linspace(-1.0, 1.0, 2 * math.ceil(1.0 / step) + 1)
     every = np.maximum(1, (lengths.max() / lengths).astype(np.int64))
     if angle_rad is not None:
         apart = np.abs((np.arctan(slopes) - angle_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
-        slopes = slopes[np.argsort(apart)[: np.count_nonzero(apart < _NARROW_RAD)]]  # of the shortest only the first
+        # Fewer directions are needed near the given one, and short lines use only the first of them.
+        slopes = slopes[np.argsort(apart)[: np.count_nonzero(apart < _NARROW_RAD)]]
         if not len(slopes):
             return np.empty((0, 5))
+    # Smoothed across the lines with weights 1, 2, 1, normalised so that white noise keeps its standard deviation.
     smooth = np.zeros_like(rows)
     smooth += 2.0 * rows
     smooth[1:] += rows[:-1]
@@ -232,31 +239,32 @@ def _lines_one_way(rows: FloatImage, lengths: FloatArray, angle_rad: float | Non
     x, y = _peaks(best, COARSE_SIGMA)
     number, length = np.divmod(line[x, y], len(lengths))
     span = spans[number, length]
-    # the middle of an even number of bins is between two
+    # The middle of an even number of bins lies between two bins.
     centre = x - 0.5 * (1 - span % 2)
     shift = (centre - x) * 2.0 * slopes[number]
     return np.column_stack([centre, y + shift, 0.5 * span, span * slopes[number], best[x, y]]).astype(np.float64)
 
 
 def lines_along(bins: FloatImage, scale: float, motion: FloatArray, threshold: float, sigma_px: float) -> FloatArray:
-    """Centres (N, 2), px, of lines that a motion draws, the most significant first.
+    """Centres (N, 2), px, of significant lines along the trails that a motion causes, most significant first.
 
     Parameters
     ----------
     bins : (H, W)
-        Squares of `scale` px, noise of standard deviation 1.
+        Squares of `scale` px with noise of standard deviation 1.
     motion : (3,)
         (a, b, c) of `startracker.detection.forms`.
     threshold : float
-        Least significance, in units of the noise of the sums along the lines.
+        Least significance, in standard deviations of the sums along the lines.
     sigma_px : float
-        Width of a star image.
+        Width of a star image, px.
     """
     clipped = np.clip(_smooth_bins(bins, max(sigma_px / scale, 0.3)), -_CLIP, _CLIP)
     response = _response(clipped, scale, motion)
     sample = response[np.isfinite(response)]
     if not len(sample):
         return np.empty((0, 2))
+    # Trails raise the upper quantiles of the response, so its noise is measured below the median.
     low, middle = quantiles(sample[:: max(1, len(sample) // 16384)].copy(), (0.158655, 0.5))
     limit = middle + threshold * max(middle - low, 1e-6)
     y, x = _peaks(response, limit)
@@ -272,9 +280,9 @@ def _middle(bins: FloatImage) -> FloatArray:
 
 
 def _response(bins: FloatImage, scale: float, motion: FloatArray) -> FloatImage:
-    """Sum / √bins (H, W) along the line that a motion draws about each bin; −∞ where that leaves the image.
+    """Sum / √bins (H, W) along the line that a motion causes at each bin; −∞ if the line leaves the image.
 
-    The image is cut into blocks over which a line changes by two bins at most; in each, all lines are alike.
+    The image is divided into blocks over which the line changes by two bins at most; within a block one line is used.
     """
     height, width = bins.shape
     out = np.full((height, width), np.float32(-np.inf))
@@ -310,7 +318,8 @@ def _response(bins: FloatImage, scale: float, motion: FloatArray) -> FloatImage:
 
 
 def _transposed(values: FloatImage) -> FloatImage:
-    """A copy with rows as columns, some rows at a time: a column of a large map takes a line of the cache a number."""
+    """Transposed copy, made some rows at a time, because each value in a column of a large map is in its own cache
+    line."""
     out = np.empty(values.shape[::-1], values.dtype)
     for row in range(0, len(values), _ROWS_AT_ONCE):
         out[:, row : row + _ROWS_AT_ONCE] = values[row : row + _ROWS_AT_ONCE].T
@@ -318,7 +327,7 @@ def _transposed(values: FloatImage) -> FloatImage:
 
 
 def _peaks(height: FloatImage, threshold: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of local maxima above a threshold, the border left out."""
+    """Rows and columns of local maxima above a threshold, excluding the border."""
     y, x = np.divmod(np.flatnonzero(height[1:-1, 1:-1] > threshold), height.shape[1] - 2)
     y, x = y + 1, x + 1
     top = np.ones(len(y), np.bool_)
@@ -330,7 +339,7 @@ def _peaks(height: FloatImage, threshold: float) -> tuple[NDArray[np.int64], NDA
 
 
 def _smooth_bins(bins: FloatImage, sigma: float) -> FloatImage:
-    """Correlated with a star image of σ bins; white noise keeps its size."""
+    """Bins correlated with a star image of σ bins; white noise keeps its standard deviation."""
     kernel = matched_kernel(sigma).astype(np.float32)
     middle, part = len(kernel) // 2, np.empty_like(bins)
     for axis in (0, 1):

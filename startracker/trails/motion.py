@@ -1,7 +1,8 @@
-"""The motion that the lines of a frame share: each line made straight, one length for all, then the fit to them.
+"""Common motion of the lines of a frame: each line is fitted, then one length for all, then the motion.
 
-A piece of a trail, or a line a little askew, looks like a shorter trail, and several such agree with each other. So the
-length is not that of most lines but that with which the light along all of them agrees, far beyond their ends.
+A fragment of a trail, or a slightly tilted line, looks like a shorter trail, and several of these agree with each
+other. So the length is not that of most lines, but the one with which the light along all lines agrees, far beyond
+their ends.
 """
 
 from __future__ import annotations
@@ -28,28 +29,30 @@ FloatImage = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 _ENOUGH = 12
-"""Lines of which the motion is fitted at most."""
+"""Largest number of lines to which the motion is fitted."""
 _WIDTH_TRAILS = 5
 _FEWEST = 4
 _SHORTEST_MOTION_PX = 5.0
-"""These lines were fitted, each above the noise as a whole: shorter ones than those of bare objects mean something."""
+"""Least length of the motion, px. These lines were fitted, each above the noise as a whole, so that shorter ones are
+significant than among objects."""
 _SHORTEST_PX = 4
 _LENGTH_STEP = 1.02
-"""Ratio of the lengths that are tried; a flat image stretches trails by as much 11° from the axis."""
+"""Ratio of successive lengths that are tried; a flat image plane stretches trails by as much 11° from the axis."""
 _LOSS = 25.0
-"""Largest loss of a line's signal-to-noise ratio squared that counts, of 5 standard errors, and the least by which any
-other length must be worse."""
+"""Largest loss of a line's squared signal-to-noise ratio that is counted (5 standard errors), and the least amount by
+which every other length must be worse."""
 _BLUR_SIGMAS = 6.0
-"""Largest blur of both ends together in widths of the star image: three widths beyond an end a trail that has 1,000
+"""Largest blur of both ends together, in widths of the star image: at three widths beyond an end, a trail of 1,000
 times the noise is as bright as the noise."""
 _CUT_PX = 4.0
-"""A trail that ends nearer to the border may continue beyond."""
+"""Distance from the border, px, below which a trail may continue beyond it."""
 _LENGTH_ERROR_PX, _STRETCH, _TURN_PX = 0.3, 0.01, 0.1
-"""What else trails may differ by: a flat image stretches towards its corners by the square of the angle."""
+"""Further differences between trails: error of the length, px; relative stretch, because a flat image plane stretches
+towards its corners by the square of the angle; error of the direction, px."""
 
 
 class Signal(NamedTuple):
-    """What trails are fitted in: residual above the background and its noise, DN; DN an electron."""
+    """Data to which trails are fitted: residual above the background and its noise, DN, and DN per electron."""
 
     residual: FloatImage
     noise: Plane
@@ -57,23 +60,23 @@ class Signal(NamedTuple):
 
     @property
     def middle(self) -> FloatArray:
-        """Of the image (x, y), px."""
+        """Centre of the image (x, y), px."""
         return 0.5 * (np.array(self.residual.shape[::-1], dtype=float) - 1.0)
 
 
 class CommonMotion(NamedTuple):
-    """The motion that the trails of a frame share.
+    """Motion that the trails of a frame share.
 
     Parameters
     ----------
     motion, covariance : (3,), (3, 3)
-        (a, b, c) of `startracker.detection.forms`.
+        (a, b, c) of `startracker.detection.forms`, and its covariance.
     middle : (2,)
-        Of the image, px.
+        Centre of the image, px.
     sigma : float
         Width of the star images, px.
     turn : Turn, optional
-        The same for the camera's projection.
+        The motion as a rotation, which includes the camera's projection.
     """
 
     motion: FloatArray
@@ -83,11 +86,13 @@ class CommonMotion(NamedTuple):
     turn: Turn | None
 
     def lines_at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Line (N, 2), px, of a trail about each position, and the variance of its length (N,)."""
+        """Line (N, 2), px, of a trail at each position, and the variance of its length (N,), px²."""
         if self.turn is not None:
             return self.turn.lines_at(xy)
         lines, (x, y) = motion_at(xy - self.middle, self.motion), (xy - self.middle).T
         u, v = (lines / np.maximum(np.hypot(*lines.T), 1e-12)[:, None]).T
+        # Derivatives of a trail's length with respect to a, b and c: its unit vector (u, v) times (1, 0, −y), (0, 1,
+        # x).
         by_motion = np.column_stack([u, v, v * x - u * y])
         return lines, np.einsum("nk,kj,nj->n", by_motion, self.covariance, by_motion)
 
@@ -100,16 +105,16 @@ def lengths_of(table: FloatArray) -> FloatArray:
 
 
 def within(signal: Signal, table: FloatArray, margin: FloatArray | float) -> Flags:
-    """Which trails (N, 7) have both ends at least so far inside the image, px."""
+    """Mask of the trails (N, 7) whose ends are both at least `margin` px inside the image."""
     reach = 0.5 * np.abs(lengths_of(table)) + np.reshape(margin, (-1, 1))
     inside = np.abs(table[:, [X, Y]] - signal.middle) + reach <= signal.middle
     return np.asarray(inside.all(axis=1))
 
 
-def _is_integer(signal: Signal, line: FloatArray) -> bool:
+def _is_inside(signal: Signal, line: FloatArray) -> bool:
     """Whether a line (7,) has both ends inside the image by `_CUT_PX`."""
     height, width = signal.residual.shape
-    x, y, _, _, angle, half, _ = line.tolist()  # numbers: arrays of one line take twenty times as long
+    x, y, _, _, angle, half, _ = line.tolist()  # floats; one-row arrays are 20 × slower
     margin_x, margin_y = half * abs(math.cos(angle)) + _CUT_PX, half * abs(math.sin(angle)) + _CUT_PX
     return bool(margin_x <= x <= width - 1.0 - margin_x and margin_y <= y <= height - 1.0 - margin_y)
 
@@ -117,16 +122,16 @@ def _is_integer(signal: Signal, line: FloatArray) -> bool:
 def find_motion(
     signal: Signal, lines: FloatArray, sigma: float, measure_sigma: bool, camera: Camera | None = None
 ) -> CommonMotion | None:
-    """The motion that lines (N, 4), see `candidate_lines`, share; None for none.
+    """Motion that lines (N, 4), see `candidate_lines`, share; None if there is none.
 
     Parameters
     ----------
     sigma : float
         Width of the star images, px.
     measure_sigma : bool
-        Whether it is that of the brightest trails instead.
+        Whether to measure the width in the brightest trails instead.
     camera : Camera, optional
-        Its projection stretches and turns trails over the field; None: a narrow field.
+        Its projection stretches and rotates trails over the field; None: a narrow field is assumed.
     """
     longest = LONGEST_SHARE * min(signal.residual.shape)
     steps = np.arange(0.0, math.log(max(longest, 2.0 * _SHORTEST_PX) / _SHORTEST_PX), math.log(_LENGTH_STEP))
@@ -141,8 +146,10 @@ def find_motion(
 
 
 class _Straight(NamedTuple):
-    """Lines (N, 7), brightest first, each with its best length; for each of some lengths (L,) the signal-to-noise
-    ratios and middles (N, L) of `best_stretches`, the latter from the line's."""
+    """Lines (N, 7), brightest first, each with its best length; results (N, L) for all lengths (L,).
+
+    `scores` and `middles` are those of `best_stretches`, the middles relative to that of the line.
+    """
 
     table: FloatArray
     lengths: IntArray
@@ -151,19 +158,19 @@ class _Straight(NamedTuple):
 
 
 def _straightened(signal: Signal, lines: FloatArray, sigma: float, lengths: IntArray) -> _Straight | None:
-    """The lines that stand out of the noise and are whole, fitted in position and direction; None for too few."""
+    """Fit position and direction of the lines; returns those that are significant and complete, or None if too few."""
     found = []
     for x, y, u, v in lines:
         start = np.array([x, y, 0.0, 0.0, math.atan2(v, u), max(math.hypot(u, v), 2.0), sigma])
-        made, _, chi2, _ = fit_trail(signal.residual, signal.noise, start, TURNED, 3.0, signal.inverse_gain)
-        if not chi2 < math.inf or math.hypot(made[X] - x, made[Y] - y) > start[HALF] + 3.0:
+        fitted, _, chi2, _ = fit_trail(signal.residual, signal.noise, start, TURNED, 3.0, signal.inverse_gain)
+        if not chi2 < math.inf or math.hypot(fitted[X] - x, fitted[Y] - y) > start[HALF] + 3.0:
             continue
-        total = light_along(signal.residual, signal.noise, made, int(lengths[-1]))
+        total = light_along(signal.residual, signal.noise, fitted, int(lengths[-1]))
         score, middle = best_stretches(total, lengths)
         best = int(np.argmax(score))
-        _move(made, middle[best], lengths[best])
-        if score[best] >= COARSE_SIGMA and _is_integer(signal, made):
-            found.append((made, score, middle - middle[best]))
+        _move(fitted, middle[best], lengths[best])
+        if score[best] >= COARSE_SIGMA and _is_inside(signal, fitted):
+            found.append((fitted, score, middle - middle[best]))
         if len(found) == _ENOUGH:
             break
     if len(found) < _FEWEST:
@@ -174,19 +181,20 @@ def _straightened(signal: Signal, lines: FloatArray, sigma: float, lengths: IntA
 
 
 def _move(line: FloatArray, along: float, length: float) -> None:
-    """Move a line (7,) along itself, px, in place, and give it a length."""
+    """Move a line (7,) along its direction, px, in place, and set its length."""
     line[X] += along * math.cos(line[ANGLE])
     line[Y] += along * math.sin(line[ANGLE])
     line[HALF] = 0.5 * length
 
 
 def _lengthened(motion: FloatArray, xy: FloatArray, trails: FloatArray, straight: _Straight) -> FloatArray | None:
-    """The motion with the length that explains the light along all lines of its direction; None if others do, too."""
+    """Motion scaled to the length that explains the light along all lines of its direction; None if it is ambiguous."""
     lengths, expected = straight.lengths, motion_at(xy, motion)
     size = np.hypot(*expected.T)
     aside = np.abs(expected[:, 0] * trails[:, 1] - expected[:, 1] * trails[:, 0]) / np.maximum(size, 1e-9)
     along = aside < MOTION_TOLERANCE_PX + _STRETCH * np.hypot(*trails.T)
     squares = np.square(np.maximum(straight.scores[along], 0.0))
+    # The best score of each length and its two neighbours is used, because the lengths that are tried are discrete.
     near = squares.copy()
     np.maximum(near[:, 1:], squares[:, :-1], out=near[:, 1:])
     np.maximum(near[:, :-1], squares[:, 1:], out=near[:, :-1])
@@ -203,41 +211,41 @@ def _lengthened(motion: FloatArray, xy: FloatArray, trails: FloatArray, straight
 def _fitted(
     signal: Signal, motion: FloatArray, straight: _Straight, measure_sigma: bool, camera: Camera | None
 ) -> CommonMotion | None:
-    """The motion from fits of the lines, begun with the length that this motion gives them."""
+    """Motion from fits of the lines, which start with the length that a first motion gives them."""
     fits, errors = [], []
     expected = np.hypot(*motion_at(straight.table[:, [X, Y]] - signal.middle, motion).T)
     for line, length, middle in zip(straight.table, expected, straight.middles, strict=True):
         start = line.copy()
         _move(start, float(np.interp(length, straight.lengths, middle)), length)
-        made, covariance, chi2, _ = fit_trail(
+        fitted, covariance, chi2, _ = fit_trail(
             signal.residual, signal.noise, start, LINE, 3.0 + 0.05 * start[HALF], signal.inverse_gain
         )
-        if chi2 < math.inf and _is_integer(signal, made):
-            fits.append(made)
-            errors.append(4.0 * chi2 * np.array([covariance[HALF, HALF], made[HALF] ** 2 * covariance[ANGLE, ANGLE]]))
+        if chi2 < math.inf and _is_inside(signal, fitted):
+            fits.append(fitted)
+            errors.append(4.0 * chi2 * np.array([covariance[HALF, HALF], fitted[HALF] ** 2 * covariance[ANGLE, ANGLE]]))
     if len(fits) < _FEWEST:
         return None
-    made, variance = np.array(fits), np.array(errors)
-    trails = lengths_of(made)
-    motion = _without_blur(motion, made, signal.middle)
-    fitting = agrees(trails, motion_at(made[:, [X, Y]] - signal.middle, motion))
+    table, variance = np.array(fits), np.array(errors)
+    trails = lengths_of(table)
+    motion = _without_blur(motion, table, signal.middle)
+    fitting = agrees(trails, motion_at(table[:, [X, Y]] - signal.middle, motion))
     if np.count_nonzero(fitting) < _FEWEST:
         return None
-    made, trails, variance = made[fitting], trails[fitting], variance[fitting] + _TURN_PX**2
-    stretch = np.array([1.0, 0.0]) * (_LENGTH_ERROR_PX + _STRETCH * 2.0 * made[:, HALF, None]) ** 2
-    motion, covariance = _weighted_motion(made[:, [X, Y]] - signal.middle, trails, variance + stretch, motion)
+    table, trails, variance = table[fitting], trails[fitting], variance[fitting] + _TURN_PX**2
+    stretch = np.array([1.0, 0.0]) * (_LENGTH_ERROR_PX + _STRETCH * 2.0 * table[:, HALF, None]) ** 2
+    motion, covariance = _weighted_motion(table[:, [X, Y]] - signal.middle, trails, variance + stretch, motion)
     turn = None
     if camera is not None and math.hypot(*motion[:2]) > PROJECTED_PX:
-        turn = fit_turn(made[:, [X, Y]], trails, variance, motion, camera)
-    sigma = median(made[:_WIDTH_TRAILS, SIGMA].copy()) if measure_sigma else float(straight.table[0, SIGMA])
+        turn = fit_turn(table[:, [X, Y]], trails, variance, motion, camera)
+    sigma = median(table[:_WIDTH_TRAILS, SIGMA].copy()) if measure_sigma else float(straight.table[0, SIGMA])
     return CommonMotion(motion, covariance, signal.middle, sigma, turn)
 
 
 def _without_blur(motion: FloatArray, fits: FloatArray, middle: FloatArray) -> FloatArray:
-    """The motion, shorter by as much as the fits (N, 7) are shorter than it in the median, within `_BLUR_SIGMAS`.
+    """Motion shortened by the median excess of its lengths over those of the fits (N, 7), up to `_BLUR_SIGMAS`.
 
-    The light along a line (`light_along`) is clipped, so that its length is that of the trail with the blur at both
-    ends: of a bright trail of 10 px it is 13 px.
+    The light along a line (`light_along`) is clipped, so that its length includes the blur at both ends: 13 px for a
+    bright trail of 10 px.
     """
     expected = np.hypot(*motion_at(fits[:, [X, Y]] - middle, motion).T)
     longer_by = median(expected - 2.0 * fits[:, HALF])
@@ -248,10 +256,10 @@ def _without_blur(motion: FloatArray, fits: FloatArray, middle: FloatArray) -> F
 def _weighted_motion(
     xy: FloatArray, trails: FloatArray, variance: FloatArray, motion: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The motion of trails whose lengths and directions are known to a variance (N, 2), px², outliers held down, and
-    its covariance.
+    """Robust least-squares motion of trails, and its covariance (3, 3).
 
-    Directions of long trails are known far better than their lengths; two trails in line look like one longer one.
+    `variance` (N, 2), px², is that of their lengths and of the ends across them. Directions of long trails are known
+    far better than their lengths; two trails in line look like one longer trail.
     """
     axes = axes_of(trails)
     ones, zeros = np.ones(len(xy)), np.zeros(len(xy))

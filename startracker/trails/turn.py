@@ -1,9 +1,10 @@
-"""How the camera turned while a frame's stars trailed, and where these stood in the middle of the exposure.
+"""Rotation of the camera while a frame's stars trailed, and their positions in the middle of the exposure.
 
-The image of a steady turn neither runs evenly nor straight, so that the middle of a trail lies some hundredths of a
-pixel from where its star stood at mid-exposure. Along the trail the middle is that of its ends; across it is the mean
-of an arc, which lies at two thirds of its height. An error of the turn about the line of sight, which directions and
-lengths of the trails show, moves all stars alike: it is the covariance that all positions share.
+The image of a steady rotation is neither uniform nor straight, so that the middle of a trail differs by some hundredths
+of a pixel from the star's position at mid-exposure. Along the trail, the measured middle is that of its ends; across
+it, it is the mean of an arc, at two thirds of its height. An error of the rotation about the line of sight, which is
+determined from directions and lengths of the trails, moves all stars together: it is the covariance that all positions
+share.
 """
 
 from __future__ import annotations
@@ -24,15 +25,16 @@ from startracker.geometry.camera import Camera
 from startracker.geometry.linalg import solve
 
 _MOTION_ERROR_PX, _MOTION_ERROR_SHARE = 0.3, 0.02
-"""Of the motion that the search found: in pixels, and of its length, as it knows no projection."""
+"""Errors of the motion from the search: in pixels, and as a share of its length, because it ignores the projection."""
 _ENDS, _TILT = 4.0, 12.0
-"""Variance of a trail's length, and of what its direction moves its ends by, over that of its middle."""
+"""Ratios of the variance of a trail's length, and of its ends across it, to that of its middle."""
 _FORM_ERROR_PX = 0.1
-"""Error of a trail's length and direction besides: its bow, and the distortion that the calibration leaves."""
+"""Further error of a trail's length and direction, px: its curvature, and the distortion that the calibration
+leaves."""
 PROJECTED_PX = 20.0
-"""Of shorter trails the motion that the search found says enough: its error moves a star by 0.002 px."""
+"""Length, px, below which the motion from the search is sufficient: its error moves a star by 0.002 px."""
 _CAUCHY = 2.4
-"""Residual in standard errors at which a trail has half its weight (95 % efficiency)."""
+"""Residual in standard errors at which a trail has half its weight (95 % efficiency for Gaussian errors)."""
 _STEPS = 6
 _STEP_RAD = 1e-6
 
@@ -45,8 +47,8 @@ class Turn(NamedTuple):
     camera: Camera
 
     def lines_at(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Line (N, 2), px, from the beginning to the end of a trail about each position, and the variance of its
-        length (N,)."""
+        """Vector (N, 2), px, from the beginning to the end of a trail at each position, and the variance of its length
+        (N,)."""
         lines, slopes = _spans_and_slopes(self.camera.unproject(xy), self.half, self.camera)
         by_turn = np.einsum("ni,nik->nk", axes_of(lines)[:, 0], slopes)
         return lines, np.einsum("nk,kj,nj->n", by_turn, self.covariance, by_turn)
@@ -55,9 +57,9 @@ class Turn(NamedTuple):
 def mid_exposure(trails: Trails, camera: Camera) -> Centroids:
     """Positions of the stars at mid-exposure.
 
-    A trail whose own length or direction contradicts the turn by more than 4 standard errors has light of another star
-    along it, which moves its middle in proportion: its covariance grows by the square of these standard errors. The
-    error that all stars share is that of the turn.
+    If a trail's own length or direction contradicts the rotation by more than 4 standard errors, it includes light of
+    another star, which moves its middle in proportion: its covariance is multiplied by the square of these standard
+    errors. The error that all stars share is that of the rotation.
     """
     stars, own = trails.centroids, trails.fitted_alone
     xy, axes = stars.xy, axes_of(trails.lengths[own])
@@ -73,7 +75,7 @@ def mid_exposure(trails: Trails, camera: Camera) -> Centroids:
 
 
 def _widening(turn: Turn, xy: FloatArray, measured: FloatArray, variance: FloatArray) -> FloatArray:
-    """Factor (N,) of the covariances of trails by how they contradict the turn; parameters as of `fit_turn`."""
+    """Factor (N,) on the covariances of trails that contradict the rotation; parameters as for `fit_turn`."""
     if np.hypot(*turn.half[:2]) * 2.0 * turn.camera.fx < PROJECTED_PX:
         return np.ones(len(xy))
     lines, by_turn = turn.lines_at(xy)
@@ -84,24 +86,25 @@ def _widening(turn: Turn, xy: FloatArray, measured: FloatArray, variance: FloatA
 
 
 def _opposite(lines: FloatArray, measured: FloatArray) -> NDArray[np.bool_]:
-    """Which lines (N, 2) run the other way round (N, 1)."""
+    """Mask (N, 1) of lines (N, 2) that run in the opposite direction."""
     return np.asarray((lines * measured).sum(axis=1, keepdims=True) < 0.0)
 
 
 def fit_turn(xy: FloatArray, measured: FloatArray, variance: FloatArray, motion: FloatArray, camera: Camera) -> Turn:
-    """The turn of the camera from trails that were fitted each for itself, outliers held down.
+    """Robust fit of the camera's rotation to trails that were fitted individually.
 
     Parameters
     ----------
     xy, measured : (N, 2)
-        Their middles, and their lengths along x and y, px.
+        Their middles, and lengths along x and y, px.
     variance : (N, 2)
-        Of the length, and of the ends across it, px².
+        Variances of the length, and of the ends across it, px².
     motion : (3,)
         (a, b, c) of `startracker.detection.forms`.
     camera : Camera
     """
     a, b, c = motion
+    # In a narrow field a shift of a px along x is a rotation by a / fx about y, and b px along y by −b / fy about x.
     start = 0.5 * np.array([-b / camera.fy, a / camera.fx, c])
     error = _MOTION_ERROR_PX + _MOTION_ERROR_SHARE * math.hypot(a, b)
     information = np.diag((np.array([2.0 * camera.fx, 2.0 * camera.fx, camera.width]) / error) ** 2)
@@ -121,9 +124,13 @@ def fit_turn(xy: FloatArray, measured: FloatArray, variance: FloatArray, motion:
 def weighted_step(
     design: FloatArray, target: FloatArray, found: FloatArray, information: FloatArray | float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Unknowns (3,) from the slopes (N, 2, 3) and values (N, 2) of trails, all in standard errors, outliers held down
-    by their distance from what was found before; and the normal matrix."""
+    """Robust least-squares step for three unknowns, and its normal matrix (3, 3).
+
+    `design` (N, 2, 3) holds the derivatives and `target` (N, 2) the values of trails, in standard errors; outliers are
+    weighted down by their distance from the solution `found` of the step before.
+    """
     slopes, values = design.reshape(-1, 3), target.ravel()
+    # Weights of Cauchy's distribution.
     weighted = slopes.T / (1.0 + ((values - slopes @ found) / _CAUCHY) ** 2)
     normal = weighted @ slopes + information
     return solve(normal, weighted @ values), normal
@@ -138,20 +145,20 @@ def axes_of(lengths: FloatArray) -> FloatArray:
 
 
 def _ends(here: FloatArray, halves: FloatArray, camera: Camera) -> FloatArray:
-    """Pixels (2, K, N, 2) of directions (N, 3) turned back and forth by rotation vectors (K, 3)."""
+    """Pixels (2, K, N, 2) of directions (N, 3) rotated by rotation vectors (K, 3) and by their opposites."""
     turned = here @ np.array([rotation_vector_to_matrix(sign * half).T for sign in (1.0, -1.0) for half in halves])
     return camera.project(turned.reshape(-1, 3)).reshape(2, len(halves), len(here), 2)
 
 
 def _spans_and_slopes(here: FloatArray, half: FloatArray, camera: Camera) -> tuple[FloatArray, FloatArray]:
-    """From the beginning to the end of trails (N, 2), px, and the derivatives (N, 2, 3) by half the rotation vector."""
+    """Vectors (N, 2), px, from beginning to end of trails, and derivatives (N, 2, 3) by half the rotation vector."""
     begin, end = _ends(here, half + np.vstack([np.zeros(3), _STEP_RAD * np.eye(3)]), camera)
     spans = end - begin
     return spans[0], np.moveaxis((spans[1:] - spans[0]) / _STEP_RAD, 0, 2)
 
 
 def _bows(xy: FloatArray, camera: Camera, halves: FloatArray) -> FloatArray:
-    """How far the middle of a trail lies from where its star stood at mid-exposure (K, N, 2), px."""
+    """Displacement (K, N, 2), px, of the middle of a trail from the star's position at mid-exposure."""
     begin, end = _ends(camera.unproject(xy), halves, camera)
     off, unit = 0.5 * (begin + end) - xy, axes_of(end - begin)[..., 0, :]
     along = (off * unit).sum(axis=-1, keepdims=True) * unit
@@ -166,14 +173,14 @@ class Trails:
     Parameters
     ----------
     centroids : Centroids
-        Middles of the trails, where the stars stood in the middle of the exposure; brightest first.
+        Middles of the trails, the stars' positions in the middle of the exposure, brightest first.
     motion : (3,)
-        (a, b, c): during the exposure what is at (x, y) from the image's middle moved by (a − c y, b + c x), pixels;
-        forwards or backwards is not known.
+        (a, b, c): during the exposure, the image at (x, y), relative to its centre, moved by (a − c y, b + c x), px;
+        the direction of time is unknown.
     lengths : (N, 2)
-        Of the trails along x and y, px.
+        Lengths of the trails along x and y, px.
     fitted_alone : bool (N,)
-        Whether a trail's length and direction were fitted to itself, not taken from the motion.
+        Whether a trail's length and direction were fitted individually, rather than taken from the motion.
     """
 
     centroids: Centroids

@@ -127,7 +127,7 @@ simulator.cli.main()
 
 
 @pytest.mark.parametrize(
-    "module", ["startracker.compilation", "typer", "simulator.cli.application", "numpy", "simulator.cli.run_command"]
+    "module", ["startracker.errors", "typer", "simulator.cli.application", "numpy", "simulator.cli.run_command"]
 )
 def test_an_interrupt_during_the_imports_is_one_line(module, tmp_path):
     """Of the entry point, whose own import loads nothing but `simulator`, and of a command."""

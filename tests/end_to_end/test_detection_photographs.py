@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from all_detectors import GENERAL
 from PIL import Image
 
 from startracker.centroid import first_moment
 from startracker.centroid.frame import measure_psf_sigma
-from startracker.detection import METHODS, estimate, find_components
+from startracker.detection import estimate, find_components
 from startracker.settings import CentroidSettings, DetectionSettings
 
 FOLDER = Path(__file__).parents[2].parent / "shared" / "sky"
@@ -54,11 +55,11 @@ def test_both_detectors_and_a_turned_image_agree_on_the_bright_stars(name):
     image = load(name)
     height = image.shape[0]
     frames = {}
-    for method in METHODS:
+    for method in GENERAL:
         for turned in (False, True):
             picture = np.ascontiguousarray(image[::-1]) if turned else image
             background = estimate(picture)
-            spots = METHODS[method](picture, background, DetectionSettings(search_step_px=2), None)
+            spots = GENERAL[method](picture, background, DetectionSettings(search_step_px=2), None)
             xy = first_moment(picture, background, spots, CentroidSettings()).xy[:8].copy()
             xy[:, 1] = height - 1 - xy[:, 1] if turned else xy[:, 1]
             frames[method, turned] = xy

@@ -268,10 +268,16 @@ def test_a_prior_that_is_wrong_is_contradicted(flight):
     assert "outside the prior" in wrong.reason
 
 
-def test_an_image_of_another_size_is_a_bad_image(flight):
-    solution = flight.tracker.solve(np.zeros((10, 12), np.uint16))
-    assert solution.status is Status.BAD_IMAGE
-    assert "(10, 12)" in solution.reason
+@pytest.mark.parametrize("shape", [(10, 12), (10, 12, 3)])
+def test_an_image_of_another_size_is_a_bad_image_for_the_reason_of_the_reference(flight, reference, shape):
+    image = np.zeros(shape, np.uint16)
+    expected = reference.tracker.solve(image)
+    assert expected.status is Status.BAD_IMAGE
+    for found in (flight.tracker.solve(image), FlightSession(flight.tracker).update(image, 0.0)):
+        assert (found.status, found.reason) == (expected.status, expected.reason)
+
+
+def test_a_uniform_image_is_a_bad_image(flight):
     uniform = flight.tracker.solve(np.full((256, 256), 100, np.uint16))
     assert uniform.status is Status.BAD_IMAGE
     assert "same value" in uniform.reason

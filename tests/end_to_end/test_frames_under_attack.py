@@ -201,6 +201,31 @@ def test_a_torn_image_with_ridges_is_refused(index):
     assert cubesat().outcome(index, spoil) in ("no_match", "ambiguous")
 
 
+@pytest.mark.parametrize(("index", "amplitude", "scale"), [(6, 300.0, 20.0), (9, 1000.0, 20.0), (0, 300.0, 40.0)])
+def test_a_rolled_image_with_ridges_is_refused(index, amplitude, scale):
+    """A fifth of its width is of another field, without a guide star or light where one should be. Most stars of the
+    list are false, as on ridges, everywhere: they showed no part that is worse, and 7, 5 and 3 of 10 were accepted."""
+
+    def spoil(image, rng):
+        return np.roll(aurora(amplitude, scale)(image, rng), image.shape[1] // 5, axis=1)
+
+    assert cubesat().outcome(index, aurora(amplitude, scale)) == "solved"
+    assert cubesat().outcome(index, spoil) in ("no_match", "ambiguous")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("amplitude", "scale"), [(300.0, 20.0), (1000.0, 20.0), (300.0, 40.0)])
+def test_rolled_images_with_ridges(amplitude, scale):
+    """At most 2 of 10 are accepted (1, 1 and 2): where the fifth has three or four bright guide stars, and chance finds
+    light at one, or few false stars are elsewhere. The attitude is that of the other four fifths."""
+
+    def spoil(image, rng):
+        return np.roll(aurora(amplitude, scale)(image, rng), image.shape[1] // 5, axis=1)
+
+    outcomes = [cubesat().outcome(index, spoil) for index in range(10)]
+    assert outcomes.count("solved") + outcomes.count("wrong") <= 2
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [20.0, 40.0, 100.0])
 @pytest.mark.parametrize("amplitude", [100.0, 300.0, 1000.0])

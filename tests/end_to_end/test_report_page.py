@@ -14,8 +14,9 @@ from pages import browser, faults, faults_on_paper, screens
 from PIL import Image
 
 from simulator.scenario import Scenario
-from simulator.study.report.page import build_report, html_of
-from simulator.study.report.pdf import pdf_of
+from simulator.study.pages.html import html_of
+from simulator.study.pages.pdf import pdf_of
+from simulator.study.report.page import report_page
 from simulator.study.run import run
 
 pytestmark = pytest.mark.system
@@ -36,7 +37,7 @@ def report():
             column[5] = np.nan
     columns["wrong"][9] = True
     summary = study.summary | {"solved": 23, "unsolved": 1, "wrong": 1, "unphysical": ["a lens of f/0.3"]}
-    return build_report(study.scenario, summary, columns)
+    return report_page(study.scenario, summary, columns)
 
 
 @pytest.fixture(scope="module")

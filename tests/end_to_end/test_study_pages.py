@@ -12,15 +12,17 @@ import pytest
 from pages import browser, faults, faults_on_paper, screens
 
 from simulator.checks import load_scenario
+from simulator.study.pages.html import html_of
 from simulator.study.point_statistics import point_statistics
-from simulator.study.sequence.page import sequence_html
+from simulator.study.sequence.page import sequence_page
 from simulator.study.sequence.run import run_sequence
 from simulator.study.specification.measured import Measured
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import judge
 from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare
-from simulator.study.sweep.page import comparison_page, sweep_page
+from simulator.study.sweep.comparison_page import comparison_page
+from simulator.study.sweep.page import sweep_page
 from simulator.study.sweep.plots import sweep_figures
 
 pytestmark = pytest.mark.system
@@ -92,10 +94,10 @@ def files(tmp_path_factory):
     pages = {
         "sweep": sweep_page(sweep, sweep_figures(sweep)),
         "compare": comparison_page(compare(list(compared_runs(folder)))),
-        "sequence": sequence_html(sequence),
+        "sequence": sequence_page(sequence),
     }
-    for kind, text in pages.items():
-        (folder / f"{kind}.html").write_text(text, encoding="utf-8")
+    for kind, content in pages.items():
+        (folder / f"{kind}.html").write_text(html_of(content), encoding="utf-8")
     return {kind: folder / f"{kind}.html" for kind in pages}
 
 

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from all_detectors import GENERAL
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from startracker.centroid import first_moment
-from startracker.detection import METHODS, estimate
+from startracker.detection import estimate
 from startracker.settings import CentroidSettings, DetectionSettings
 
 SHAPES = hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=40)
@@ -25,7 +26,7 @@ def check(image, method, saturation):
     background = estimate(image, 16)
     assert background.level.shape == background.noise.shape == shape
     assert not (background.noise <= 0).any()
-    spots = METHODS[method](image, background, DetectionSettings(min_pixels=1, max_stars=20), saturation)
+    spots = GENERAL[method](image, background, DetectionSettings(min_pixels=1, max_stars=20), saturation)
     assert len(spots) <= 20
     assert np.all((spots.x_peak >= 0) & (spots.x_peak < shape[1]))
     assert np.all((spots.y_peak >= 0) & (spots.y_peak < shape[0]))
@@ -38,7 +39,7 @@ def check(image, method, saturation):
     assert np.all(found.covariance[:, 0, 0] > 0)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 @settings(max_examples=60, deadline=None)
 @example(image=np.array([[0.0, np.inf]], np.float32), saturation=None)
 @example(image=np.array([[-np.inf, np.inf]], np.float32), saturation=None)
@@ -47,7 +48,7 @@ def test_any_image(method, image, saturation):
     check(image, method, saturation)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 @pytest.mark.parametrize("shape", [(0, 0), (0, 7), (1, 1), (16, 16), (3, 200)])
 @pytest.mark.parametrize("value", [0, 1, 255, 65535, np.nan, np.inf])
 def test_constant_images(method, shape, value):
@@ -55,7 +56,7 @@ def test_constant_images(method, shape, value):
     check(np.full(shape, value), method, None)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 @settings(max_examples=40, deadline=None)
 @given(
     x=st.floats(8, 31),
@@ -75,7 +76,7 @@ def test_a_turned_image_gives_turned_stars(method, x, y, sigma, level, flips):
     if flips[2]:
         image, point = image.T, point[::-1]
     background = estimate(image, 64)
-    spots = METHODS[method](image, background, DetectionSettings(search_step_px=1), None)
+    spots = GENERAL[method](image, background, DetectionSettings(search_step_px=1), None)
     found = first_moment(image, background, spots, CentroidSettings(), 1.0)
     assert len(found) == 1
     # sampled at the centres instead of integrated: as a Gaussian of σ² − 1/12 integrated would be, to 0.01 px

@@ -48,7 +48,7 @@ def frame_and_tracker():
 
 def test_it_is_added_to_every_centroid(frame_and_tracker):
     frame, _, _ = frame_and_tracker
-    detect, measure = detection.DETECTORS["components"], centroid.METHODS["maximum_likelihood"]
+    detect, measure = detection.METHODS["components"], centroid.METHODS["maximum_likelihood"]
     settings = [CentroidSettings(), CentroidSettings(camera_model_px=0.3)]
     plain, stated = (
         find_stars(given_image(frame), detect, measure, DetectionSettings(), s, Clock(), camera=frame.camera).stars

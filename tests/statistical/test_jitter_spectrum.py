@@ -209,3 +209,12 @@ def test_truth_turned_by_the_mean_is_where_the_star_s_centroid_is():
     np.testing.assert_allclose(centroid, turned, atol=1e-3)  # (300″)² of second order: 2e-6 rad · 200 px
     xy, weights = star_paths(camera, star, [0, 0, 0], 0.2, 0.5, jitter=path.centred(0.2))
     np.testing.assert_allclose(weights @ xy[0], [400.0, 90.0], atol=1e-3)
+
+
+def test_comments_and_headers_of_a_table_may_be_indented(tmp_path):
+    rows = "0.1, 2\n5, 1\n"
+    (tmp_path / "plain.csv").write_text(rows)
+    (tmp_path / "noted.csv").write_text(f"# measured on a shaker\n  # second mount\n\n  frequency_hz, psd\n  {rows}")
+    plain, noted = (load_spectrum(Jitter(psd="table", table=name), tmp_path) for name in ("plain.csv", "noted.csv"))
+    np.testing.assert_array_equal(noted.density, plain.density)
+    assert noted.max_hz == plain.max_hz == 5.0

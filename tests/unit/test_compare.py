@@ -8,10 +8,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from simulator.checks import load_scenario
+from simulator.study.pages.html import html_of
 from simulator.study.point_statistics import point_statistics
 from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare, differences
-from simulator.study.sweep.page import comparison_page
+from simulator.study.sweep.comparison_page import comparison_page
 from startracker.errors import InputError
 
 N = 400
@@ -81,7 +82,7 @@ def test_runs_of_other_seeds_are_not_paired(tmp_path):
     second = write_run(tmp_path / "b", [], rows(2.0), seed=2)
     comparison = compare([first, second])
     assert comparison.ratios[1] is None
-    assert "no common trials" in comparison_page(comparison)
+    assert "no common trials" in html_of(comparison_page(comparison))
 
 
 def test_intervals_hold_the_rms_that_was_drawn():
@@ -111,7 +112,7 @@ def test_a_wrong_attitude_is_not_identified_and_no_solution_no_error():
 def test_page_names_the_runs_and_stands_alone(tmp_path):
     first = write_run(tmp_path / "a", [], rows(1.0))
     second = write_run(tmp_path / "b", ["tracker.centroider=maximum_likelihood"], rows(1.05, unsolved=range(N)))
-    page = comparison_page(compare([first, second]))
+    page = html_of(comparison_page(compare([first, second])))
     assert first in page
     assert "tracker.centroider" in page
     assert "maximum_likelihood" in page

@@ -5,8 +5,8 @@ import pytest
 from scipy import ndimage
 from scipy.special import erf
 
-from startracker.detection import Background, estimate, find_bad_pixels, find_clusters, mask_pixels
-from startracker.detection.clustering import adaptive_radius, cluster_pixels, merge_clusters
+from simulator.theses.detectors.clustering import adaptive_radius, cluster_pixels, find_clusters, merge_clusters
+from startracker.detection import Background, estimate, find_bad_pixels, mask_pixels
 from startracker.detection.sources import SOURCE, find_runs
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings

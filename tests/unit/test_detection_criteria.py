@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from all_detectors import GENERAL
 from scipy import ndimage
 from scipy.special import erf
 
-from startracker.detection import METHODS, estimate, find_components
+from startracker.detection import estimate, find_components
 from startracker.detection.artefacts import common_width
 from startracker.detection.forms import agrees, common_motion, elongations, motion_at
 from startracker.settings import DetectionSettings
@@ -51,14 +52,14 @@ def matched(spots, places, reach=2.5):
     return distance.min(axis=0) < reach, distance.min(axis=1) >= reach
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 @pytest.mark.parametrize("sigma", [0.7, 0.9, 1.4])
 def test_hits_and_hot_pixels_go_and_stars_stay(method, sigma):
     lost, kept_hits, stars, hits = 0, 0, 0, 0
     settings = DetectionSettings(max_stars=1000, search_step_px=1)
     for seed in range(6):
         image, places, rng = field(seed, sigma, faintest=600.0 * max(1.0, sigma))
-        clean = METHODS[method](image.astype(np.float32), estimate(image), settings, None)
+        clean = GENERAL[method](image.astype(np.float32), estimate(image), settings, None)
         seen, _ = matched(clean, places)
         for _ in range(15):  # tracks of 1 to 8 pixels, as sharp as charge that does not spread
             x, y, angle, length = rng.uniform(30, 370), rng.uniform(30, 370), rng.uniform(0, np.pi), rng.uniform(0, 8)
@@ -66,7 +67,7 @@ def test_hits_and_hot_pixels_go_and_stars_stay(method, sigma):
                 image[round(y + u * np.sin(angle)), round(x + u * np.cos(angle))] += 600.0 * (1 + length) / 40
         for _ in range(20):
             image[rng.integers(5, 390), rng.integers(5, 490)] += rng.uniform(60, 900)
-        spots = METHODS[method](image.astype(np.float32), estimate(image), settings, None)
+        spots = GENERAL[method](image.astype(np.float32), estimate(image), settings, None)
         found, false = matched(spots, places)
         stars, hits = stars + seen.sum(), hits + 35
         lost, kept_hits = lost + np.count_nonzero(seen & ~found), kept_hits + false.sum()

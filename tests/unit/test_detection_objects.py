@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from all_detectors import GENERAL
 from scipy import ndimage
 from scipy.special import erf
 
-from startracker.detection import METHODS, Background, find_components, grow_regions
+from simulator.theses.detectors.region_growing import grow_objects, grow_regions
+from startracker.detection import Background, find_components
 from startracker.detection.background import estimate
-from startracker.detection.region_growing import grow_objects
 from startracker.detection.sources import cut_runs, find_runs, join_runs, measure_objects
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
@@ -114,7 +115,7 @@ def test_growing_is_not_recursive():
     assert table["pixels"].tolist() == [700 * 700]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 def test_finds_the_stars_brightest_first(method):
     rng = np.random.default_rng(5)
     grid = [(x, y) for x in range(12, 250, 24) for y in range(12, 250, 24)]
@@ -123,7 +124,7 @@ def test_finds_the_stars_brightest_first(method):
         for (x, y), dx, dy, f in zip(grid, *rng.uniform(-3, 3, (2, 100)), np.geomspace(900, 4e4, 100), strict=True)
     ]
     image = np.rint(draw((256, 256), stars, 1.2) + rng.normal(100, 4, (256, 256))).astype(np.float32)
-    spots = METHODS[method](image, estimate(image, 32), DetectionSettings(max_stars=200, background_tile_px=32), None)
+    spots = GENERAL[method](image, estimate(image, 32), DetectionSettings(max_stars=200, background_tile_px=32), None)
     assert len(spots) == 100
     assert np.all(np.diff(spots.flux) <= 0)
     truth = np.array(stars)[::-1]
@@ -132,7 +133,7 @@ def test_finds_the_stars_brightest_first(method):
     distance = np.hypot(spots.x_peak - truth[found, 0], spots.y_peak - truth[found, 1])
     assert distance.max() < 1.5
     assert np.median(np.abs(spots.flux / truth[found, 2] - 1)) < 0.15
-    few = METHODS[method](image, estimate(image, 32), DetectionSettings(max_stars=7), None)
+    few = GENERAL[method](image, estimate(image, 32), DetectionSettings(max_stars=7), None)
     assert few.flux.tolist() == spots.flux[:7].tolist()
     assert not spots.saturated.any()
 
@@ -145,12 +146,12 @@ def test_size_limits(method):
     image[29:32, 10:13] = 400
     image[25:45, 25:45] = 300  # an extended object
     settings = DetectionSettings(min_pixels=3, max_pixels=36, matched_filter=False)
-    spots = METHODS[method](image, flat(image.shape), settings, None)
+    spots = GENERAL[method](image, flat(image.shape), settings, None)
     assert (spots.x_peak.tolist(), spots.y_peak.tolist()) == ([10], [29])
     assert spots.pixels.tolist() == [9]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 @pytest.mark.parametrize("slant", [0, 1])
 def test_streaks_are_told_apart_only_beyond_the_limit(method, slant):
     image = np.zeros((60, 60), np.float32)
@@ -158,8 +159,8 @@ def test_streaks_are_told_apart_only_beyond_the_limit(method, slant):
         x, y = 20 + k, 31 + slant * k  # on the search pattern
         image[y : y + 2, x : x + 2] = 300
     generous = DetectionSettings(max_axis_ratio=100.0)
-    assert len(METHODS[method](image, flat(image.shape), generous, None)) == 1
-    assert len(METHODS[method](image, flat(image.shape), DetectionSettings(max_axis_ratio=6.0), None)) == 0
+    assert len(GENERAL[method](image, flat(image.shape), generous, None)) == 1
+    assert len(GENERAL[method](image, flat(image.shape), DetectionSettings(max_axis_ratio=6.0), None)) == 0
 
 
 def test_axis_ratio_is_that_of_the_second_moments():
@@ -170,15 +171,15 @@ def test_axis_ratio_is_that_of_the_second_moments():
         assert len(find_components(image, flat(image.shape), DetectionSettings(max_axis_ratio=limit), None)) == expected
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 def test_saturated_stars_are_kept_and_flagged(method):
     stars = [(30, 30, 4e6), (80.3, 30.2, 3e3), (30.4, 80.3, 2e5)]
     image = np.minimum(np.rint(draw((110, 110), stars, 1.3) + 20), 4095).astype(np.float32)
     background = estimate(image, 64)
     for saturation in (4095.0, None):
-        spots = METHODS[method](image, background, DetectionSettings(), saturation)
+        spots = GENERAL[method](image, background, DetectionSettings(), saturation)
         assert spots.saturated.tolist() == [True, True, False]
-    assert METHODS[method](image, background, DetectionSettings(), 4096.0).saturated.tolist() == [False] * 3
+    assert GENERAL[method](image, background, DetectionSettings(), 4096.0).saturated.tolist() == [False] * 3
 
 
 def test_a_star_on_a_pixel_corner_is_not_taken_for_saturated():
@@ -186,11 +187,11 @@ def test_a_star_on_a_pixel_corner_is_not_taken_for_saturated():
     assert find_components(image, estimate(image), DetectionSettings(), None).saturated.tolist() == [False]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 def test_border_is_flagged(method):
     image = draw((64, 64), [(1.0, 30.0, 5e3), (30.0, 62.0, 6e3), (32.0, 31.0, 7e3)])
     image[image < 1] = 0
-    spots = METHODS[method](image, flat(image.shape), DetectionSettings(), None)
+    spots = GENERAL[method](image, flat(image.shape), DetectionSettings(), None)
     assert spots.edge.tolist() == [False, True, True]
 
 
@@ -273,25 +274,25 @@ def test_noise_free_frame_gives_its_stars_and_no_others():
 
 def test_false_alarms_in_pure_noise():
     image = np.rint(np.random.default_rng(8).normal(200, 12, (1024, 1024))).astype(np.float32)
-    for method in METHODS.values():
+    for method in GENERAL.values():
         assert len(method(image, estimate(image), DetectionSettings(), None)) == 0
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_pixels_that_are_not_finite_belong_to_no_object(method, bad):
     image = draw((60, 60), [(40, 40, 1e4)])
     image[9:12, 9:12] = bad
     image[40, 46] = bad
-    spots = METHODS[method](image, flat(image.shape), DetectionSettings(min_pixels=1), None)
+    spots = GENERAL[method](image, flat(image.shape), DetectionSettings(min_pixels=1), None)
     assert (spots.x_peak.tolist(), spots.y_peak.tolist()) == ([40], [40])
     assert np.isfinite(spots.flux).all()
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", GENERAL)
 def test_background_must_fit(method):
     with pytest.raises(InputError, match="its background"):
-        METHODS[method](np.zeros((5, 5), np.float32), flat((6, 6)), DetectionSettings(), None)
+        GENERAL[method](np.zeros((5, 5), np.float32), flat((6, 6)), DetectionSettings(), None)
 
 
 def test_search_step_must_be_positive():

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from all_detectors import DETECTORS, GENERAL
 
-from startracker.detection import DETECTORS, METHODS, Background, find_first_regions, find_round_regions
+from simulator.theses.detectors.round_regions import find_first_regions, find_round_regions
+from startracker.detection import Background
 from startracker.errors import InputError
 from startracker.settings import DetectionSettings
 
@@ -32,7 +34,7 @@ def stars(places, sigma_x=1.23, sigma_y=1.23, peak=100.0):
 def test_both_are_methods_of_the_tracker():
     assert DETECTORS["round_regions"] is find_round_regions
     assert DETECTORS["first_regions"] is find_first_regions
-    assert set(METHODS) < set(DETECTORS)  # those leave hot pixels and streaks in: no general detectors
+    assert set(GENERAL) < set(DETECTORS)  # those leave hot pixels and streaks in: not for every image
 
 
 @pytest.mark.parametrize("peak", [30.0, 100.0, 350.0])

@@ -235,6 +235,14 @@ def test_number_of_displacement_interactions_is_dose_over_dose_per_interaction()
     assert aged.mean_dark_e_s == pytest.approx(aged.displacement.mean_e_s + moving, rel=1e-12)
 
 
+def test_the_axis_of_the_dipole_is_that_of_igrf_13():
+    """Its coefficients of degree 1 of 2020, nT (Alken et al. 2021); 0.06° from them, as its latitude is geodetic."""
+    pole = -np.array([-1450.9, 4652.5, -29404.8])
+    assert np.linalg.norm(np.cross(DIPOLE_AXIS, pole / np.linalg.norm(pole))) < math.radians(0.1)
+    assert np.linalg.norm(DIPOLE_AXIS) == pytest.approx(1.0)
+    assert DIPOLE_AXIS[2] > 0.0
+
+
 @pytest.mark.parametrize("radii", [1.0, 1.1, 2.0])
 @pytest.mark.parametrize("latitude_deg", [0.0, 30.0, -60.0])
 def test_the_vertical_cutoff_is_stoermers(radii, latitude_deg):

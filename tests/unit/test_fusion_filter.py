@@ -152,6 +152,9 @@ def test_memory(flight):
     head, _, attitude, covariance = flight.seen[0]
     assert short.add_attitude(head, 0.25, attitude, covariance).outcome == "too_late"
     short.add_gyro(-1.0, 0.0, np.zeros(3))
+    begins_s = short._base.t_s
+    for _ in range(2):  # what ends where the memory begins is not kept, and so overlaps nothing
+        short.add_gyro(begins_s - 1.0, begins_s, np.zeros(3))
     np.testing.assert_array_equal(state_of(whole, 12.0), state_of(short, 12.0))
     with pytest.raises(InputError, match="memory"):
         short.estimate(1.0)

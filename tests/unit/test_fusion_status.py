@@ -17,6 +17,7 @@ from startracker.fusion.trust import measured
 from startracker.fusion.windows import extended, finding, noise_factor, restarted
 from startracker.geometry.attitude import Attitude
 from startracker.tracking import RateNoise
+from startracker.tracking.kinematics import turn_quaternion
 from startracker.tracking.mekf import Innovation
 
 NOW_S = 100.0
@@ -292,3 +293,27 @@ def test_a_motion_known_to_be_of_one_head_stays_that_of_this_head():
         assert found.records[0].motion.resolved is resolved
         assert (found.records[1].motion is None) is resolved
         assert found.records[0].motion.until_s >= NOW_S + 3600.0
+
+
+def with_value(processes, head, value):
+    return (*processes[:head], processes[head]._replace(value_rad=value), *processes[head + 1 :])
+
+
+def test_a_mounting_that_bent_returns_to_where_it_was():
+    """Its estimated motion falls by e within the stated time, and the mounting by as much as the motion."""
+    mekf, moved = mekf_of(three(bending_sigma_rad=1e-4, bending_s=40.0)), np.array([1e-3, -2e-3, 5e-4])
+    mekf._bending = with_value(mekf._bending, 1, moved)
+    before = mekf.mounting(1)
+    mekf.predict(40.0, np.zeros(3))
+    expected = turn_quaternion(np.array(before.quat), -(1.0 - math.exp(-1.0)) * moved)
+    assert mekf.mounting(1).angle_to(Attitude(expected, "body", "camera")) < 1e-12
+    assert mekf.bending_rad(1) == pytest.approx(math.hypot(*moved) / math.e)
+
+
+def test_an_error_of_a_head_that_stays_is_taken_from_its_attitude():
+    error, truth = np.array([2e-3, 1e-3, -3e-3]), Attitude.from_radec_roll(30.0, 40.0, 50.0)
+    mekf = mekf_of(three())
+    mekf._correlated = with_value(mekf._correlated, 1, error)
+    measured = Attitude(turn_quaternion(np.array(truth.quat), error))
+    body, _ = mekf._from_head(1, measured, np.eye(3) * SIGMA**2)
+    assert (mekf.mounting(1) @ body).angle_to(truth) < 1e-12

@@ -1,5 +1,7 @@
 """The fit of `startracker.estimation.pose` against a plain NumPy twin, and what it rests on."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.stats import f as f_distribution
@@ -227,6 +229,18 @@ def test_stars_left_out_of_the_fit():
     assert stars.fitted.catalog_id.tolist() == [3, 8]
     assert stars.fitted.used.all()
     assert len(MatchedStars.none().fitted) == 0
+
+
+def test_matched_stars_of_guide_stars():
+    catalog = SimpleNamespace(id=np.array([3, 5, 8]), star_name=np.array(["a", "b", "c"]))
+    guide = SimpleNamespace(catalog=catalog, v_mag=np.array([1.0, 2.0, 3.0]))
+    xy, residual_px = np.arange(4.0).reshape(2, 2), np.ones((2, 2))
+    stars = MatchedStars.of(guide, np.array([2, 0]), xy, residual_px)
+    assert (stars.catalog_id.tolist(), stars.name.tolist(), stars.v_mag.tolist()) == ([8, 3], ["c", "a"], [3.0, 1.0])
+    assert stars.used.all()
+    assert np.isnan([stars.flux, stars.sigma_px]).all()
+    given = MatchedStars.of(guide, np.array([1]), xy[:1], residual_px[:1], flux=np.ones(1), used=np.array([False]))
+    assert (given.flux.tolist(), given.used.tolist()) == ([1.0], [False])
 
 
 def test_prior_probabilities_sum_to_one():

@@ -7,16 +7,19 @@ import pytest
 
 from simulator.cli import main
 from simulator.scenario import Scenario
-from simulator.study.report.content import content_of, outlier_positions, percent_text
+from simulator.study.pages.html import html_of
+from simulator.study.pages.page import Figures
+from simulator.study.pages.pdf import pdf_of
+from simulator.study.report.content import answer_of, budget_table, outlier_positions, outliers_table
 from simulator.study.report.figures import panels
 from simulator.study.report.frames import chosen_trials
-from simulator.study.report.page import build_report, html_of
-from simulator.study.report.pdf import pdf_of
+from simulator.study.report.page import report_page
 from simulator.study.run import run
-from simulator.study.specification.measured import Measured
+from simulator.study.specification.measured import Measured, judge_frames
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, judge
 from simulator.study.statistics import AXES, BODY_AXES, summarise
+from simulator.study.texts import percent_text
 from simulator.study.trials.trial import TrialRunner
 from startracker.catalog import load_catalog
 
@@ -56,6 +59,10 @@ def summary_of(columns, **more):
     } | more  # fmt: skip
 
 
+def answer(scenario, columns, summary=None, budget=None):
+    return answer_of(judge_frames(scenario, columns), summary or summary_of(columns), columns, budget)
+
+
 @pytest.fixture(scope="module")
 def scenario():
     return Scenario.load("cubesat_ideal", SMALL)
@@ -63,34 +70,34 @@ def scenario():
 
 def test_answer_of_a_study_that_meets_its_specification(scenario):
     columns = trials(n=4000)
-    answer = content_of(scenario, summary_of(columns), columns).answer
-    assert answer.state == MET
-    assert answer.verdict == f"Specification: met: smallest margin yaw, {answer.axes.rows[2][4]}."
+    found = answer(scenario, columns)
+    assert found.state == MET
+    assert found.verdict == f"Specification: met: smallest margin yaw, {found.axes.rows[2][4]}."
     # 99.7 % of normal errors are below 2.968 sigma: 29.7, 296.8 and 59.4 arcsec of 90, 1029.6 and 90; yaw is the
     # tightest. That percentile of 4000 normal errors has a standard deviation of sqrt(pq / n) / (2 phi(2.968)) =
     # 0.089 sigma or 3 %: 4 of them are 0.12
-    assert "yaw" in answer.margin
-    factors = {row[0]: float(row[4].split()[0]) for row in answer.axes.rows}
+    assert "yaw" in found.margin
+    factors = {row[0]: float(row[4].split()[0]) for row in found.axes.rows}
     assert factors["yaw"] == pytest.approx(90 / 59.4, rel=0.12)
     assert factors["roll"] == pytest.approx(90 / 29.7, rel=0.12)
     assert factors["pitch"] == pytest.approx(1029.6 / 296.8, rel=0.12)
-    assert [row[5] for row in answer.axes.rows] == ["met"] * 3
+    assert [row[5] for row in found.axes.rows] == ["met"] * 3
 
 
 def test_rates_of_the_answer(scenario):
     columns = trials()
-    answer = content_of(scenario, summary_of(columns), columns).answer
+    found = answer(scenario, columns)
     # Wilson's interval at 400 of 400: 400 / (400 + 1.95996²) = 99.05 %
-    assert answer.rates.rows[0][1:] == ("400 of 400", "100.00 %", "99.05 % to 100.00 %")
-    assert answer.rates.rows[2][1:] == ("0 of 400", "0.00 %", "0.00 % to 0.95 %")
+    assert found.rates.rows[0][1:] == ("400 of 400", "100.00 %", "99.05 % to 100.00 %")
+    assert found.rates.rows[2][1:] == ("0 of 400", "0.00 %", "0.00 % to 0.95 %")
 
 
 def test_too_few_trials_are_undecided_however_small_their_errors(scenario):
     columns = trials(n=400)
-    answer = content_of(scenario, summary_of(columns), columns).answer
-    assert answer.state == UNDECIDED
-    assert answer.verdict == ("Specification: undecided: roll, pitch, yaw; run at least 1228 trials to decide.")
-    assert [row[5] for row in answer.axes.rows] == ["undecided"] * 3
+    found = answer(scenario, columns)
+    assert found.state == UNDECIDED
+    assert found.verdict == ("Specification: undecided: roll, pitch, yaw; run at least 1228 trials to decide.")
+    assert [row[5] for row in found.axes.rows] == ["undecided"] * 3
 
 
 def test_a_long_tail_is_judged_by_its_percentile_and_not_by_three_times_the_rms(scenario):
@@ -99,34 +106,33 @@ def test_a_long_tail_is_judged_by_its_percentile_and_not_by_three_times_the_rms(
     columns["error_yaw_deg"][::100] = 120 * ARCSEC
     summary = summary_of(columns)
     assert summary["specification"]["yaw"]["three_sigma_deg"] < 40 * ARCSEC
-    answer = content_of(scenario, summary, columns).answer
-    assert answer.verdict == "Specification: not met: yaw 99.7 % below 120.00″ (specified 90.00″)."
+    found = answer(scenario, columns, summary)
+    assert found.verdict == "Specification: not met: yaw 99.7 % below 120.00″ (specified 90.00″)."
     assert summary["specification"]["yaw"]["verdict"] == "not met"
     assert summary["specification"]["yaw"]["met"] is False
 
 
 def test_answer_of_a_study_that_does_not(scenario):
     columns = trials(roll=60 * ARCSEC, yaw=45 * ARCSEC)
-    answer = content_of(scenario, summary_of(columns), columns).answer
-    assert answer.state == NOT_MET
-    assert answer.verdict.startswith("Specification: not met: roll 99.7 % below ")
-    assert "; yaw 99.7 % below " in answer.verdict
-    assert "pitch" not in answer.verdict
-    assert answer.margin.startswith("Largest excess: roll, ")
+    found = answer(scenario, columns)
+    assert found.state == NOT_MET
+    assert found.verdict.startswith("Specification: not met: roll 99.7 % below ")
+    assert "; yaw 99.7 % below " in found.verdict
+    assert "pitch" not in found.verdict
+    assert found.margin.startswith("Largest excess: roll, ")
 
 
 def test_a_wrong_attitude_spoils_the_answer(scenario):
     columns = trials(n=4000)
     columns["wrong"][7] = True
-    content = content_of(scenario, summary_of(columns), columns)
-    assert content.answer.verdict == "Specification: not met: 1 wrong attitude."
-    assert content.outliers.rows[0][0] == "7"
+    assert answer(scenario, columns).verdict == "Specification: not met: 1 wrong attitude."
+    assert outliers_table(summary_of(columns), columns).rows[0][0] == "7"
 
 
 def test_trials_whose_interval_has_the_limit_in_it_are_undecided(scenario):
     columns = trials(n=2000, yaw=30 * ARCSEC)  # 99.7 % below 89 arcsec of 90, known to 4 %
-    answer = content_of(scenario, summary_of(columns), columns).answer
-    assert answer.verdict == "Specification: undecided: yaw; run more trials to decide."
+    found = answer(scenario, columns)
+    assert found.verdict == "Specification: undecided: yaw; run more trials to decide."
 
 
 def test_columns_of_an_older_run_are_enough(scenario):
@@ -139,9 +145,8 @@ def test_columns_of_an_older_run_are_enough(scenario):
     old["errors_deg"] = {
         axis: {k: v for k, v in e.items() if "interval" not in k} for axis, e in old["errors_deg"].items()
     }
-    content = content_of(scenario, old, columns)
-    assert "Cramér" not in " ".join(content.answer.limits)
-    assert [row[2] for row in content.outliers.rows] == ["no_stars"]
+    assert "Cramér" not in " ".join(answer(scenario, columns, old).limits)
+    assert [row[2] for row in outliers_table(old, columns).rows] == ["no_stars"]
     found = panels(columns, SPECIFICATION, load_catalog("bsc5"))
     assert [panel.title for panel in found.trends] == ["Error against number of stars"]
 
@@ -160,15 +165,14 @@ def test_limits_are_told_from_the_bound_and_the_budget(scenario):
             for name, of in (("shot noise", share), ("cosmic rays", unsure))
         ],
     }  # fmt: skip
-    content = content_of(scenario, summary_of(columns), columns, budget)
-    said = " ".join(content.answer.limits)
+    said = " ".join(answer(scenario, columns, budget=budget).limits)
     assert "due to the processing" in said  # twice the bound about the boresight
     assert any(f"Up to {percent} %" in said for percent in (49, 50, 51, 52))
     assert "covariance is consistent" in said
     assert "shot noise 64 %" in said  # 0.8² of the mean square; what may be nothing is not named
     assert "cosmic rays" not in said
-    assert content.budget.rows[0][0] == "cosmic rays"
-    assert content.budget.rows[-1][0] == "total error"
+    assert budget_table(budget).rows[0][0] == "cosmic rays"
+    assert budget_table(budget).rows[-1][0] == "total error"
 
 
 def test_chosen_frames():
@@ -201,16 +205,19 @@ def test_nothing_solved_still_makes_a_report(scenario):
     columns["status"][:] = "no_stars"
     for axis in AXES:
         columns[f"error_{axis}_deg"][:] = np.nan
-    report = build_report(small, summary_of(columns), columns)
-    assert "No frame was solved." in html_of(report)
-    assert pdf_of(report).startswith(b"%PDF")
+    page = report_page(small, summary_of(columns), columns)
+    assert "No frame was solved." in html_of(page)
+    assert pdf_of(page).startswith(b"%PDF")
 
 
 def test_runner_of_the_run_is_used_again(scenario, monkeypatch):
     runner = TrialRunner(scenario)
     columns = trials(n=3)
     monkeypatch.setattr("simulator.study.report.frames.TrialRunner", None)  # a second one would fail
-    assert len(build_report(scenario, summary_of(columns), columns, runner=runner).frames) == 3
+    page = report_page(scenario, summary_of(columns), columns, runner=runner)
+    (frames,) = [section for section in page.sections if section.title == "Frames"]
+    shown = [panel.anchor for block in frames.blocks if isinstance(block, Figures) for panel in block.panels]
+    assert sorted(shown) == ["trial-0", "trial-1", "trial-2"]
 
 
 def test_report_command_writes_both_again_and_refuses_what_is_no_run(tmp_path, capsys, monkeypatch):

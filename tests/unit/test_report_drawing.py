@@ -8,8 +8,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from simulator.study.report import drawing
-from simulator.study.report.drawing import drawn_apart
+from simulator.study.pages import drawing
+from simulator.study.pages.drawing import drawn_apart
 from simulator.study.trials.columns import Columns
 from startracker.errors import BoresightError
 
@@ -25,7 +25,7 @@ def test_the_page_comes_back_as_it_was_drawn():
 
 
 def test_a_process_that_fails_says_why_in_one_line():
-    with pytest.raises(BoresightError, match=r"^the report could not be drawn: AttributeError: .*nowhere"):
+    with pytest.raises(BoresightError, match=r"^the page could not be drawn: AttributeError: .*nowhere"):
         drawn_apart(operator.attrgetter("nowhere"), "page")
 
 

@@ -78,7 +78,7 @@ def test_errors_of_the_gyro_are_those_at_the_end():
     bias = {f"bias_{axis}_deg_h": np.array([9.0] * 7 + [1.5]) for axis in "xyz"}
     true = {f"true_bias_{axis}_deg_h": np.array([9.0] * 7 + [1.0]) for axis in "xyz"}
     scale = {f"scale_{axis}_ppm": np.array([9.0] * 7 + [np.nan if axis == "z" else 30.0]) for axis in "xyz"}
-    known = {f"true_scale_{axis}_ppm": np.full(8, 50.0) for axis in "xyz"}
+    known = {f"true_scale_{axis}_ppm": np.array([9.0] * 7 + [50.0]) for axis in "xyz"}
     found = summarise_sequence(sequence_columns(**bias, **true, **scale, **known), 0.5, JUDGEMENT)
     assert found["bias_error_deg_h"] == {"x": 0.5, "y": 0.5, "z": 0.5}
     assert found["scale_error_ppm"] == {"x": -20.0, "y": -20.0, "z": None}
@@ -99,6 +99,8 @@ def test_single_frames_are_compared_where_both_are_solved():
     assert found["errors_deg"]["roll"]["max"] == 1e6
     exact = sequence_columns(**single, error_yaw_deg=np.zeros(8))
     assert summarise_sequence(exact, 0.5, JUDGEMENT)["single"]["gain"]["yaw"] is None
+    unknown = sequence_columns(**{**single, "single_error_yaw_deg": np.full(8, np.nan)})
+    assert summarise_sequence(unknown, 0.5, JUDGEMENT)["single"]["gain"]["yaw"] is None
 
 
 def test_bounds_of_a_mean_follow_the_effective_number():
@@ -134,6 +136,26 @@ def test_the_effective_number_of_a_fused_attitude_is_that_of_its_errors():
     assert fused_nees(columns) == fused_nees(fewer)
     one = {name: values[1:2] for name, values in columns.items()}
     assert fused_nees(one)["effective_frames"] == 1.0
+    none = {**columns, "status": np.full(n, "no_match", dtype=object)}
+    assert fused_nees(none) == {"mean": None, "effective_frames": 0.0, "bounds95": None, "within": None}
+
+
+@pytest.mark.parametrize(
+    ("errors", "effective"),
+    [
+        ((1, 1), 2.0),  # a single lag is not a pair
+        ((1, 1, 1), 3.0 / (1.0 + 2.0 * (4.0 + 1.0) / 9.0)),
+        ((1, 0, 0, 1, 0), 5.0),  # the first pair is zero: what follows is not summed, though it is positive
+        ((1, 1, -1, 1, 1), 5.0),  # products 5, 0, −1, 2, 1
+        ((1, 1, 0, 1, 1), 5.0 / (1.0 + 2.0 * (4.0 + 1.0 + 4.0 + 1.0) / 16.0)),  # products 4, 2, 1, 2, 1
+    ],
+)
+def test_pairs_of_lags_of_few_errors(errors, effective):
+    n = len(errors)
+    columns = {"status": np.full(n, "solved", dtype=object), "nees": np.ones(n)}
+    for axis in ("cross_x", "cross_y", "about_boresight"):
+        columns[f"error_{axis}_deg"], columns[f"sigma_{axis}_deg"] = 2.0 * np.array(errors), np.full(n, 2.0)
+    assert fused_nees(columns)["effective_frames"] == pytest.approx(effective)
 
 
 def test_numbers_of_each_head():
@@ -159,5 +181,7 @@ def test_numbers_of_each_head():
         columns[f"{prefix}true_alignment_{axis}_arcsec"] = 4.0 * ends
         columns[f"{prefix}alignment_{axis}_arcsec"] = 5.0 * ends
         columns[f"{prefix}sigma_alignment_{axis}_arcsec"] = np.where(ends > 1.0, ends, np.nan)
+    never = {**columns, f"{prefix}status": np.full(8, "no_match", dtype=object)}
+    assert summarise_heads(never, scenario)["a"]["stars_matched_mean"] is None
     found = summarise_heads(columns, scenario)["a"]["alignment_arcsec"]
     assert found == {axis: {"true": 4.0, "estimated": 5.0, "sigma": None} for axis in "xyz"}

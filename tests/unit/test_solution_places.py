@@ -68,3 +68,24 @@ def test_what_is_outside_and_what_is_wrong():
         solution.radec_of([1.0, 2.0, 3.0])
     with pytest.raises(InputError, match=r"not solved.*too_few_stars: 2 stars"):
         Solution(Status.TOO_FEW_STARS, "2 stars").pixel_of(1.0, 2.0)
+
+
+def test_what_a_solution_says_of_itself():
+    """The larger error across the boresight, and proper names of the stars that have one."""
+    camera, sigma = CAMERAS["pinhole"], np.radians(np.array([2.0, 3.0, 40.0]) / 3600.0)
+    stars = MatchedStars(
+        np.array([[100.0, 200.0], [300.0, 400.0]]),
+        np.array([5, 6]),
+        np.array(["HIP 32350", "Alp CMa"]),
+        np.array([6.0, -1.44]),
+        np.zeros(2),
+        np.zeros((2, 2)),
+    )
+    attitude = Attitude.from_radec_roll(200.0, 35.0, 10.0)
+    solution = Solution(Status.SOLVED, "", attitude, np.diag(sigma**2), stars, stars.xy, camera=camera)
+    assert "RA 200.0000°, Dec +35.0000°, roll 10.00°, 2 stars, σ 3.0″/40.0″, aberration not corrected" in repr(solution)
+    chart = solution._chart()
+    assert "Sirius" in chart
+    assert "HIP 32350" in chart
+    assert replace(solution, centroids=np.empty((0, 2)))._chart() == ""
+    assert replace(solution, camera=None)._chart() == ""

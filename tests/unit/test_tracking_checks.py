@@ -19,6 +19,7 @@ from startracker.tracking.standstill import StandstillWatch
 START = Attitude.from_radec_roll(10.0, -30.0, 200.0)
 SIGMA = 1e-5
 COVARIANCE = SIGMA**2 * np.eye(3)
+PERFECT = GyroNoise(1e-9, 0.0, 1e-9, scale_sigma=0.0)
 NOISE = GyroNoise(angle_random_walk=1e-6, rate_random_walk=1e-7, bias_sigma_rad_s=1e-5, scale_sigma=0.01)
 
 
@@ -40,7 +41,9 @@ def stated_sigma(rate, t, noise=NOISE):
     return math.sqrt(2.0 * SIGMA**2 + drift + noise.angle_random_walk**2 * t) + noise.scale_sigma * abs(rate) * t
 
 
-@pytest.mark.parametrize("noise", [NOISE, GyroNoise(1e-4, 0.0, 0.0, scale_sigma=0.0), GyroNoise(0.0, 1e-5, 0.0)])
+@pytest.mark.parametrize(
+    "noise", [NOISE, GyroNoise(1e-4, 0.0, 0.0, scale_sigma=0.0), GyroNoise(0.0, 1e-5, 0.0), PERFECT]
+)
 def test_a_rotation_that_the_stars_do_not_show_is_at_most_four_stated_errors(noise):
     """Attitudes, bias, its random walk, the walk of the angle, and the scale factor in proportion to the rotation."""
     t = 40.0

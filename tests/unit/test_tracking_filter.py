@@ -242,6 +242,23 @@ def test_the_prior_of_a_prediction_is_five_standard_deviations_wide():
     assert watched.prior(0.999 * width) == (None, 1.0)
 
 
+def test_scale_factors_that_are_not_estimated_are_known_to_be_zero():
+    for noise, expected in ((RateNoise(), 0.0), (GyroNoise(scale_sigma=0.0), 0.0), (GyroNoise(scale_sigma=0.02), 0.02)):
+        mekf = Mekf(START, np.eye(3) * 1e-10, noise)
+        assert mekf.scale.tolist() == [0.0] * 3
+        assert mekf.scale_sigma.tolist() == pytest.approx([expected] * 3)
+
+
+def test_a_bias_is_large_against_what_its_gyro_states():
+    """6 σ of the stated and of the estimated variance together, which are equal at the beginning."""
+    sigma = 1e-3
+    mekf = Mekf(START, np.eye(3) * 1e-10, GyroNoise(1e-6, 1e-9, sigma))
+    assert mekf.bias_excess == 0.0
+    mekf._bias = np.array([0.0, -12.0, 6.0]) * math.sqrt(2.0) * sigma
+    assert mekf.bias_excess == pytest.approx(2.0, rel=1e-12)
+    assert Mekf(START, np.eye(3) * 1e-10, RateNoise()).bias_excess == 0.0
+
+
 def test_a_prediction_beyond_a_right_angle_is_no_longer_one():
     watched = WatchedFilter(RateNoise(), 1e-6)
     watched.predict(1.0, None)

@@ -11,12 +11,13 @@ from startracker.estimation.wahba import attitude_covariance
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import log_chance
-from startracker.observer import Observer
+from startracker.observer import Observer, unknown_aberration
 from startracker.tracker import StarTracker
-from startracker.tracking import TrackingSession
+from startracker.tracking import GyroNoise, RateNoise, TrackingSession
 from startracker.tracking.consistency import Scatter
 from startracker.tracking.looking import Expected, Sky, look, window_half
 from startracker.tracking.matching import Match, log_assignments, match_gated, spreads, track
+from startracker.tracking.watched import WatchedFilter
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
 
 CAMERA = Camera.from_fov(10.0, 256, 256)
@@ -315,3 +316,91 @@ def test_the_attitude_of_the_stars_alone_has_their_covariance(tracker):
         expected = attitude_covariance(vectors, followed.seen.sigma_px[followed.stars] * CAMERA.pixel_rad)
         np.testing.assert_allclose(found[1], expected, rtol=1e-6)
         assert Attitude(found[0]).angle_to(attitude) < 1e-5
+
+
+def test_a_session_before_and_after_its_first_frame(tracker):
+    """Nothing is known; then a whole frame is solved, lost in space; a reset forgets it."""
+    session = TrackingSession(tracker)
+    assert session.filter_attitude is session.covariance is session.rate_rad_s is session.bias_rad_s is None
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0)
+    _, _, xy = tracker.guide.in_field(attitude.as_matrix())
+    found = session.update_centroids(xy, None, 1.0)
+    assert found.solved
+    state = session.state
+    assert (state.mode, state.solved, state.restarted, state.distrusted) == ("lost_in_space", True, True, False)
+    assert (state.windows, state.innovation, state.matched) == (0, None, found.matched)
+    assert session.filter_attitude.angle_to(attitude) < 1e-4
+    assert session.bias_rad_s.tolist() == [0.0, 0.0, 0.0]
+    again = session.update_centroids(xy + 0.01, None, 2.0)
+    assert (again.solved, session.state.mode, session.state.restarted) == (True, "tracking", False)
+    assert session.state.expected >= session.state.matched == again.matched > 0
+    late = session.update_centroids(xy + 0.02, None, 2.0)
+    assert (str(late.status), session.state.mode, late.attitude) == ("bad_time", "coasting", None)
+    same = session.update_centroids(xy + 0.01, None, 3.0)
+    assert (str(same.status), "as the one at 2.0 s" in same.reason) == ("stale", True)
+    session.reset()
+    assert session.filter_attitude is None
+
+
+@pytest.mark.parametrize(("share", "there"), [(0.49, True), (0.51, False)])
+def test_a_prediction_is_useful_within_a_quarter_of_the_diagonal(tracker, share, there):
+    """Its uncertainty about all axes together, against half of the angle from the middle to a corner."""
+    session = TrackingSession(tracker)
+    sigma_deg = math.degrees(share * tracker.guide.half_diagonal_rad / math.sqrt(3.0))
+    session.reset(Attitude.from_radec_roll(80.0, 5.0, 30.0), sigma_deg)
+    assert (session._expect(None) is not None) is there
+
+
+def test_the_motion_of_the_observer_that_is_not_known_is_in_the_covariance(tracker):
+    """Added to that of the filter, and taken off what the tracker states."""
+    watched = WatchedFilter(RateNoise(), 1e-6)
+    assert (watched.distrusted, watched.without_observer) == (False, False)
+    attitude, p = Attitude.from_radec_roll(80.0, 5.0, 30.0), np.diag([1.0, 2.0, 3.0]) * 1e-8
+    watched.begin(attitude, p)
+    np.testing.assert_allclose(watched.attitude_covariance, p)
+    assert watched.own_covariance(attitude, p) is p
+    watched.without_observer = True
+    unknown = unknown_aberration(attitude.as_matrix())
+    np.testing.assert_allclose(watched.attitude_covariance, p + unknown)
+    np.testing.assert_allclose(watched.covariance[:3, :3], p + unknown)
+    np.testing.assert_allclose(watched.own_covariance(attitude, p + unknown), p, atol=1e-20)
+
+
+def test_stars_that_are_seen_are_watched_for_standing_still():
+    watched = WatchedFilter(GyroNoise(), 1e-6)
+    attitude, p = Attitude.from_radec_roll(80.0, 5.0, 30.0), np.eye(3) * 1e-10
+    watched.begin(attitude, p)
+    watched.seen((attitude.quat, p))
+    assert watched._still.filter is not None
+    watched.seen(None)  # of too few stars nothing is known
+    assert watched._still.filter is None
+    assert watched.contradiction(None) == ""
+    assert WatchedFilter(RateNoise(), 1e-6).contradiction((attitude.quat, p)) == ""
+
+
+@pytest.mark.parametrize("noise_px", [0.05, 0.6])
+def test_a_frame_whose_errors_are_larger_than_stated_is_followed_with_all_stars(tracker, noise_px):
+    """0.6 px on each axis where 0.15 px are stated: beyond 3.7 stated errors, and within 3.7 of those of the frame."""
+    attitude = Attitude.from_radec_roll(80.0, 5.0, 30.0)
+    _, _, xy = tracker.guide.in_field(attitude.as_matrix())
+    inside = CAMERA.contains(xy, -3.0)
+    xy = xy[inside] + noise_px * np.random.default_rng(1).normal(size=(inside.sum(), 2))
+    session = TrackingSession(tracker)
+    session.reset(attitude, 0.5)
+    session._scatter._chi2 = 9.0 * session._scatter._freedom  # gates and weights for three times the stated errors
+    followed = session._follow_centroids(xy, None, None)
+    assert len(followed.stars) >= 0.8 * len(xy)
+    assert len(followed.stars) > 6
+    assert not followed.hides_a_part(CAMERA)  # of a list, what is not there was looked for
+    # the same in windows, with the stars of one half only
+    left = np.flatnonzero(followed.seen.xy[followed.stars][:, 0] < 110.0)
+    half = replace(
+        followed,
+        seen=replace(followed.seen, windows=9),
+        stars=followed.stars[left],
+        partner=followed.partner[left],
+    )
+    whole = replace(followed, seen=replace(followed.seen, windows=9))
+    assert not whole.hides_a_part(CAMERA)
+    assert half.hides_a_part(CAMERA)
+    assert not replace(half, seen=followed.seen).hides_a_part(CAMERA)

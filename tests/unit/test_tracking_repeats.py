@@ -8,7 +8,7 @@ import pytest
 from startracker.errors import InputError
 from startracker.tracking.consistency import InnovationWindow
 from startracker.tracking.mekf import Innovation, chi_square_limit
-from startracker.tracking.standstill import FrameMemory, list_key
+from startracker.tracking.standstill import _COLUMNS, _ROWS, FrameMemory, list_key
 from startracker.tracking.state import FrameClock
 
 
@@ -54,6 +54,13 @@ def test_image_is_known_by_the_pixels_about_its_stars(kind):
         assert memory.image_repeats(other) is None
     assert memory.image_repeats(image[:50]) is None
     assert memory.image_repeats(None) is None
+
+
+def test_pixels_of_a_star_begin_with_its_own():
+    """The first one decides for nearly every new frame; away from stars it might be the same in all."""
+    places = list(zip(_ROWS.tolist(), _COLUMNS.tolist(), strict=True))
+    assert places[0] == (0, 0)
+    assert sorted(places) == [(row, column) for row in range(-3, 4) for column in range(-3, 4)]
 
 
 def test_masked_pixels_are_alike():

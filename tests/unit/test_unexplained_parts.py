@@ -5,7 +5,22 @@ import math
 import numpy as np
 import pytest
 
-from startracker.unexplained import NOTHING, Unexplained, bright_items, contradiction, unexplained_of
+from startracker import Attitude, StarTracker
+from startracker.detection import Background
+from startracker.detection.background import Light
+from startracker.geometry.camera import Camera
+from startracker.unexplained import (
+    NO_ROWS,
+    NOTHING,
+    Fitted,
+    Unexplained,
+    bright_items,
+    contradiction,
+    guide_stars_there,
+    of_guide_stars,
+    reason_to_refuse,
+    unexplained_of,
+)
 
 
 def log_likelihood(matched, unmatched):
@@ -145,6 +160,111 @@ def test_two_unmatched_stars_are_no_contradiction():
 def test_each_reason_to_refuse_has_its_limit(changes, contradicts, part, doubtful):
     left = Unexplained(0.0, 0, 0, 0, 40, 0, 40, 0)._replace(**changes)
     assert (left.contradicts, left.leaves_a_part, left.is_doubtful) == (contradicts, part, doubtful)
+
+
+@pytest.mark.parametrize(
+    ("changes", "uneven", "mostly_false"),
+    [
+        ({}, False, False),
+        ({"contrast": 6.1}, True, False),
+        ({"contrast": 6.0}, False, False),
+        ({"lost_stars": 40}, False, False),
+        ({"lost_stars": 41}, False, True),
+    ],
+)
+def test_limits_of_what_is_looked_at_more_closely(changes, uneven, mostly_false):
+    left = Unexplained(0.0, 0, 0, 0, 40, 0, 40, 0)._replace(**changes)
+    assert (left.is_uneven, left.is_mostly_false) == (uneven, mostly_false)
+
+
+# ---------------------------------------------------------------------- guide stars of an image
+CAMERA = Camera.from_fov(15.0, 1024, 1024)
+
+
+@pytest.fixture(scope="module")
+def guide():
+    return StarTracker(CAMERA, magnitude_limit=6.5).guide
+
+
+def fitted(guide, matched_of):
+    """A fit of the guide stars of a field that a function of their positions chooses; their positions and light."""
+    attitude = Attitude.from_radec_roll(85.0, 0.0, 30.0).as_matrix()
+    index, _, positions = guide.in_field(attitude, -6.0, CAMERA)
+    matched = np.flatnonzero(matched_of(positions))
+    pairs = np.stack([np.arange(len(matched)), index[matched]], axis=1)
+    return Fitted(pairs, np.zeros((len(matched), 2)), attitude, CAMERA), positions, positions[matched]
+
+
+def light_at(positions):
+    image = np.full((1024, 1024), 100.0, np.float32)
+    x, y = np.rint(positions).astype(int).T
+    image[y, x] = 200.0
+    return Light(image, Background(np.full_like(image, 100.0), np.full_like(image, 2.0)), 5.0)
+
+
+def some_false(xy, count):
+    """False stars, sixty px or more from each other and the border, brighter than all others."""
+    grid = np.stack(np.meshgrid(np.arange(32.0, 1024.0, 80.0), np.arange(32.0, 1024.0, 80.0)), axis=-1).reshape(-1, 2)
+    return np.concatenate([np.random.default_rng(1).permutation(grid)[:count], xy])
+
+
+def shifted(fit, count):
+    return fit._replace(pairs=fit.pairs + np.array([count, 0]))
+
+
+def refusal(guide, fit, xy, light, **how):
+    return reason_to_refuse(xy, np.full(len(xy), 0.1), fit, guide, NO_ROWS, lambda rows: NO_ROWS, light, **how)
+
+
+def test_a_guide_star_is_there_if_it_is_matched_or_has_light(guide):
+    """Three of four are matched, all but those on the right fifth have light; one beside a centroid is not counted."""
+    fit, positions, xy = fitted(guide, lambda p: np.arange(len(p)) % 4 > 0)
+    dark = positions[:, 0] > 819.0
+    beside = np.append(xy, positions[[0]] + 5.0, axis=0)
+    known, there = guide_stars_there(beside, fit, guide, light_at(positions[~dark]))
+    assert not np.any(np.all(known == positions[0], axis=1))
+    matched = np.isin(known[:, 0], xy[:, 0])
+    assert np.array_equal(there, matched | (known[:, 0] <= 819.0))
+    assert 0 < np.count_nonzero(~there) < np.count_nonzero(there)
+
+
+def test_guide_stars_without_light_in_one_part_refuse_an_image_of_mostly_false_stars(guide):
+    """The list is that of a ridge: as many false stars as matched ones and more, evenly. The right fifth of the guide
+    stars is matched or lit like the rest, or neither, which only that image refuses."""
+    for border in (1024.0, 819.0):
+        _, positions, _ = fitted(guide, lambda p: p[:, 0] > 0.0)
+        lit = positions[:, 0] < border
+        fit, _, xy = fitted(guide, lambda p, lit=lit: (np.arange(len(p)) % 2 > 0) & lit)
+        for false, refused in ((len(xy) + 5, border < 1024.0), (0, False)):
+            stars, moved = some_false(xy, false), shifted(fit, false)
+            reason = refusal(guide, moved, stars, light_at(positions[lit]))
+            assert bool(reason) == refused, reason
+            assert not reason or "without a star or any light" in reason
+            photograph = refusal(guide, moved, stars, light_at(positions[lit]), follows_v=False)
+            assert "any light" not in photograph  # they may be behind trees
+
+
+def test_few_matched_stars_everywhere_are_refused_without_light_and_if_the_order_is_that_of_v(guide):
+    fit, positions, xy = fitted(guide, lambda p: np.arange(len(p)) % 4 == 0)
+    false = 3 * len(xy)
+    stars, fit = some_false(xy, false), shifted(fit, false)
+    assert "are unexplained" in refusal(guide, fit, stars, None)
+    assert not refusal(guide, fit, stars, None, follows_v=False)
+    assert not refusal(guide, fit, stars, light_at(positions))
+    half = light_at(positions[np.arange(len(positions)) % 8 < 3])
+    assert "are unexplained" in refusal(guide, fit, stars, half)
+
+
+def test_the_guide_stars_alone_count_for_both_sides():
+    rng = np.random.default_rng(2)
+    positions = rng.uniform(0.0, 1000.0, (40, 2))
+    there = positions[:, 0] < 800.0
+    found = of_guide_stars(positions, there)
+    n, lost = 40, np.count_nonzero(~there)
+    assert found.contrast == pytest.approx(
+        -(lost * math.log(lost / n) + (n - lost) * math.log((n - lost) / n)), rel=1e-12
+    )
+    assert (found.stars, found.guides, found.lost_guides) == (lost, lost, lost)
 
 
 def test_the_reason_in_words():

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.live.stimulator.patterns import COLOURS, TOP_LEVEL
+from startracker._compiled import kernel
 from startracker.arguments import of_kind, pair, real_array, real_number, whole_number
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.kernels import kernel
 
 __all__ = ["DITHERING", "Curve", "Photometry", "uniformity_terms"]
 

@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
+from startracker._compiled import kernel
 from startracker.catalog.sky_view import FieldShape, VoxelGrid, field_shape, in_shape, stars_in_cone
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
-from startracker.kernels import kernel
 
 
 def outline(camera: Camera) -> FieldShape:

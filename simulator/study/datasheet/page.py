@@ -1,9 +1,7 @@
-"""The page of a datasheet, and the same as PDF."""
+"""The page of a datasheet."""
 
 from __future__ import annotations
 
-import io
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from simulator.scenario import Scenario
@@ -19,95 +17,58 @@ from simulator.study.datasheet.tables import (
     terms_table,
 )
 from simulator.study.datasheet.words import INTERPRETATIONS, STANDARD
-from simulator.study.html_page import DIGEST_DIGITS, TONES, Table, drawn, render_page, verdict_table
-from simulator.study.report.drawing import drawn_apart
-from simulator.study.style import SOFT, style
+from simulator.study.pages.drawing import drawn_apart
+from simulator.study.pages.html import html_of
+from simulator.study.pages.page import Block, Figures, Page, Section, Table, Words, lead, paragraph, soft
+from simulator.study.pages.parts import provenance, unphysical_notes, verdict_table
+from simulator.study.pages.pdf import pdf_of
 from startracker._version import __version__
 
 if TYPE_CHECKING:
     from simulator.study.datasheet.result import Column, Datasheet
 
-
-def datasheet_pages(sheet: Datasheet) -> tuple[str, bytes]:
-    """A complete page without scripts or external links, and the same as a PDF file of A4 pages."""
-    return drawn_apart(_pages, sheet)
-
-
-def _pages(sheet: Datasheet) -> tuple[str, bytes]:
-    return _html(sheet), _pdf(sheet)
+_TIMES_NOTE = (
+    "Computing times are in datasheet.timing.json beside this page, as they differ from run to run; everything on this "
+    "page is reproduced bit for bit."
+)
 
 
-def _html(sheet: Datasheet) -> str:
-    found = panels(sheet.columns)
-    return render_page(
-        "datasheet/datasheet.html.j2",
-        scenario=sheet.scenario,
-        provenance=_provenance(sheet),
-        tone=TONES[sheet.columns[-1].judgement.state],
-        answers=[
-            (column.life, column.judgement.text, verdict_table(column.judgement), list(map(_joined, _answers(column))))
-            for column in sheet.columns
-        ],
-        conditions=_conditions(sheet.columns),
-        accuracy=[(column.life, _joined_cells(accuracy_table(column))) for column in sheet.columns],
-        sections=[(heading, _joined_cells(table)) for heading, table in _sections(sheet.columns)],
-        figures=[drawn(panel, f"d{k}") for k, panel in enumerate(found)],
-        terms=terms_table(),
-        interpretations=INTERPRETATIONS,
-        standard=STANDARD,
-        resolved=sheet.scenario.to_yaml(),
+def datasheet_files(sheet: Datasheet) -> tuple[str, bytes]:
+    """The page of a datasheet as HTML and as PDF."""
+    return drawn_apart(_files, sheet)
+
+
+def _files(sheet: Datasheet) -> tuple[str, bytes]:
+    page = datasheet_page(sheet)
+    return html_of(page), pdf_of(page)
+
+
+def datasheet_page(sheet: Datasheet) -> Page:
+    """Content of the page of a datasheet."""
+    scenario, columns = sheet.scenario, sheet.columns
+    origin = {"name": scenario.name, "seed": scenario.seed, "version": __version__}
+    interpretations = Table(("interpretation", "meaning"), tuple(INTERPRETATIONS.items()), (1,))
+    return Page(
+        heading=f"{scenario.name}: datasheet",
+        description=scenario.description,
+        provenance=provenance(origin, sheet.identity.sha256),
+        answer=tuple(block for column in columns for block in _answer(column)),
+        verdict=columns[-1].judgement.state,
+        notes=tuple(unphysical_notes(scenario.unphysical)),
+        sections=(
+            Section("Conditions", (_conditions(columns),)),
+            *(Section(f"Accuracy, {column.life}", (accuracy_table(column),)) for column in columns),
+            Section("Figures", (Figures(tuple(panels(columns))),)),
+            *_sections(columns),
+            Section("Terms", (terms_table(), interpretations, soft(STANDARD), soft(_TIMES_NOTE))),
+        ),
+        scenario=scenario.to_yaml(),
     )
 
 
-def _joined(text: str) -> str:
-    """Text in which a browser does not break an interval after its dash."""
-    return text.replace("–", "–\N{WORD JOINER}")
-
-
-def _joined_cells(table: Table) -> Table:
-    return replace(table, rows=tuple(tuple(map(_joined, row)) for row in table.rows))
-
-
-def _pdf(sheet: Datasheet) -> bytes:
-    from matplotlib.backends.backend_pdf import PdfPages
-
-    from simulator.study.report.pdf import Paper
-
-    stream = io.BytesIO()
-    title = {"Title": f"{sheet.scenario.name}: datasheet", "CreationDate": None}
-    with style(), PdfPages(stream, metadata=title) as pages:
-        paper = Paper(pages, _provenance(sheet))
-        paper.text(f"{sheet.scenario.name}: datasheet", 18, weight="bold")
-        paper.text(sheet.scenario.description, 9, colour=SOFT)
-        paper.text(_provenance(sheet), 8, colour=SOFT)
-        for column in sheet.columns:
-            paper.text(f"{column.life}. {column.judgement.text}.", 11, weight="bold")
-            paper.table(verdict_table(column.judgement), 6.5)
-            for line in _answers(column):
-                paper.text(line, 9)
-        paper.heading("Conditions")
-        paper.table(_conditions(sheet.columns))
-        for column in sheet.columns:
-            paper.heading(f"Accuracy, {column.life}")
-            table = accuracy_table(column)
-            paper.table(table, 6.5)
-            paper.text(table.note, 8, colour=SOFT)
-        paper.heading("Figures")
-        paper.panels(panels(sheet.columns), 2)
-        for heading, table in _sections(sheet.columns):
-            paper.heading(heading)
-            paper.table(table, 6.5)
-        paper.heading("Terms")
-        paper.table(terms_table(), 6.5)
-        paper.text(" ".join(f"{name}: {text}." for name, text in INTERPRETATIONS.items()), 8)
-        paper.text(STANDARD, 8, colour=SOFT)
-        paper.end()
-    return stream.getvalue()
-
-
-def _sections(columns: list[Column]) -> list[tuple[str, Table]]:
-    """Tables after the accuracy, with their headings."""
-    return [
+def _sections(columns: list[Column]) -> list[Section]:
+    """Performance and conditions, after the accuracy."""
+    tables = [
         ("Acquisition", list_table(columns, "acquisition")),
         ("Tracking", list_table(columns, "tracking")),
         ("Angular rate", rate_table(columns)),
@@ -116,15 +77,11 @@ def _sections(columns: list[Column]) -> list[tuple[str, Table]]:
         ("Temperature and robustness", conditions_table(columns)),
         ("Update rate and latency", list_table(columns, "timing")),
     ]
+    return [Section(title, (table,)) for title, table in tables]
 
 
-def _provenance(sheet: Datasheet) -> str:
-    digest = sheet.identity.sha256[:DIGEST_DIGITS]
-    return f"Scenario {sheet.scenario.name}, digest {digest}, seed {sheet.scenario.seed}, boresight {__version__}"
-
-
-def _answers(column: Column) -> list[str]:
-    """The answer in three lines: error of the whole, noise, acquisition and rate."""
+def _answer(column: Column) -> tuple[Block, ...]:
+    """The answer for a stage of life: verdict, and error of the whole, noise, acquisition and rate in three lines."""
     accuracy = column.sections["accuracy"]
 
     def line(name: str, level: float) -> str:
@@ -146,7 +103,11 @@ def _answers(column: Column) -> list[str]:
         quantity = select(column.sections[section], name)
         if quantity is not None:
             texts.append(f"{quantity.title}: {estimate_text(quantity.estimate, quantity.unit, percent)}")
-    return [*found, "; ".join(texts) + "."]
+    return (
+        lead(Words(f"{column.life}. {column.judgement.text}.", column.judgement.state)),
+        verdict_table(column.judgement),
+        *(paragraph(line) for line in (*found, "; ".join(texts) + ".")),
+    )
 
 
 def _conditions(columns: list[Column]) -> Table:

@@ -162,4 +162,4 @@ def _draw_spectrum(column: Column, axis: int, ax: Axes) -> None:
     ax.set_yscale("log")
     ax.set_xlabel("spatial frequency [cycles / pixel]")
     ax.set_ylabel("density [″² px]")
-    ax.legend(loc="best", fontsize=7)
+    ax.legend(loc="best")

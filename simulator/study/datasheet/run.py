@@ -114,9 +114,9 @@ def _measured(
 
 
 def _write(sheet: Datasheet, folder: Path) -> None:
-    from simulator.study.datasheet.page import datasheet_pages
+    from simulator.study.datasheet.page import datasheet_files
 
-    page, pdf = datasheet_pages(sheet)
+    page, pdf = datasheet_files(sheet)
     files: dict[str, str | bytes] = {
         "datasheet.html": page,
         "datasheet.pdf": pdf,

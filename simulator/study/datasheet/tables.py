@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 from simulator.study.datasheet.classes import CLASSES
 from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, select
 from simulator.study.datasheet.words import TERMS
-from simulator.study.html_page import Table
+from simulator.study.pages.page import Table
 from simulator.study.statistics import CAMERA_AXES
 
 if TYPE_CHECKING:
     from simulator.study.datasheet.result import Column
 
 UNITS = {"arcsec": "″", "deg": "°", "deg/s": "°/s", "deg/s2": "°/s²", "s": "s", "Hz": "Hz"}
-UNBROKEN = "\N{NO-BREAK SPACE}"
 AXIS_NAMES = {"cross_x": "x", "cross_y": "y", "about_boresight": "about"}
 """Short names of the camera's axes."""
 
@@ -36,7 +35,7 @@ def number_text(value: float, largest: float | None = None) -> str:
 
 def estimate_text(size: Estimate, unit: str = "", percent: bool = False) -> str:
     """Value and interval: ``0.126″ (0.108–0.156)``, or ``0.126″ (≥ 0.108)`` without an upper limit. Angles below
-    0.001″ are in milliarcseconds; spaces within the brackets do not break."""
+    0.001″ are in milliarcseconds."""
     value, low, high = size.plain()
     if value is None:
         return "not determined"
@@ -53,8 +52,8 @@ def estimate_text(size: Estimate, unit: str = "", percent: bool = False) -> str:
     if (low, high) == (value, value):
         return f"{shown} (exact)"
     if low is None or high is None:
-        return f"{shown} ({'≤' if low is None else '≥'}{UNBROKEN}{ends[0]})"
-    return f"{shown} ({f'{UNBROKEN}to{UNBROKEN}'.join(ends) if low < 0.0 else '–'.join(ends)})"
+        return f"{shown} ({'≤' if low is None else '≥'} {ends[0]})"
+    return f"{shown} ({' to '.join(ends) if low < 0.0 else '–'.join(ends)})"
 
 
 def accuracy_table(column: Column) -> Table:

@@ -30,7 +30,7 @@ def flight_design(
     scenario : Scenario
         Camera, detector and settings of the tracker.
     arithmetic : str, optional
-        As in `FlightDesign`; default: that of the scenario.
+        As in `FlightDesign`; default: the arithmetic of the scenario.
     identifier : str, optional
         As in `FlightDesign`; default: ``triads`` for a scenario with triads, else ``adaptive``.
     renderer : Renderer, optional

@@ -25,7 +25,7 @@ from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude
 from startracker.identification.acceptance import power_of_ten
 from startracker.identification.observed import Prior, as_prior
-from startracker.inputs import given_image, prior_of
+from startracker.inputs import given_image, prior_of, shape_fault
 from startracker.observer import Observer, observer_of
 from startracker.solution import MatchedStars, Solution, Status
 
@@ -53,7 +53,7 @@ class FlightEngine:
     Parameters
     ----------
     design : FlightDesign
-        What it was made for.
+        The camera and the settings that it was made for.
     guide : GuideDatabase
         Guide stars at the epoch of their catalogue, with which the residuals of the identified stars are computed.
     library : FlightLibrary
@@ -81,14 +81,14 @@ class FlightEngine:
     ) -> Solution:
         """Attitude from an image; parameters as in `StarTracker.solve`. Gain and saturation are those of the design.
 
-        Of the times of the stages, ``detection`` is that of the rows with their background, and ``identification`` that
-        from the last row to the answer: centroids, identification and attitude.
+        In the times of the stages, ``detection`` is reading the rows with their background, and ``identification`` is
+        everything from the last row to the answer: centroids, identification and attitude.
         """
         clock, given = Clock(), given_image(image, observer, None, saturation_dn, gain_e_per_dn)
         hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
         known = known_of(given.observer)._replace(prior=prior_numbers(hint))
-        if not self.read(given.image, known):
-            return self.refused(Status.BAD_IMAGE, self._wrong_shape(given.image), clock)
+        if fault := self.read(given.image, known):
+            return self.refused(Status.BAD_IMAGE, fault, clock)
         clock.lap("detection")
         answer, stars = self.library.finish()
         clock.lap("identification")
@@ -113,19 +113,15 @@ class FlightEngine:
         return self.solution(answer, stars, observer_of(observer, None), clock)
 
     # ------------------------------------------------------------------ parts that `FlightSession` shares
-    def read(self, image: Any, known: Known) -> bool:
-        """Give the rows of an image to the library; False if it has another shape than the camera."""
+    def read(self, image: Any, known: Known) -> str:
+        """Give the rows of an image to the library; returns why its shape does not fit the camera, or an empty text."""
         pixels: NDArray[Any] = np.asarray(image)
-        if pixels.shape != (self.camera.height, self.camera.width):
-            return False
+        if fault := shape_fault(pixels.shape, (self.camera.height, self.camera.width)):
+            return fault
         if pixels.dtype != np.uint16:
             pixels = np.clip(np.rint(pixels), 0, 65535)
         self.library.read(np.ascontiguousarray(pixels, dtype=np.uint16), known)
-        return True
-
-    def _wrong_shape(self, image: Any) -> str:
-        size = f"{self.camera.width}×{self.camera.height}"
-        return f"the image has the shape {np.shape(image)}, but the camera has {size} pixels"
+        return ""
 
     def refused(self, status: Status, reason: str, clock: Clock) -> Solution:
         """Solution of a frame that is not solved."""
@@ -168,19 +164,19 @@ class FlightEngine:
         rows = self.guide.rows_of(np.array(numbers, dtype=np.int64)[named])
         apparent = self.guide.apparent_to(observer).directions[rows]
         xy = stars.xy_px[named]
-        return MatchedStars(
-            xy=xy,
-            catalog_id=self.guide.catalog.id[rows],
-            name=self.guide.catalog.star_name[rows],
-            v_mag=self.guide.v_mag[rows],
+        residual_px = xy - self.camera.project(attitude.apply(apparent))
+        return MatchedStars.of(
+            self.guide,
+            rows,
+            xy,
+            residual_px,
             flux=stars.flux_dn[named],
-            residual_px=xy - self.camera.project(attitude.apply(apparent)),
             sigma_px=np.sqrt(stars.variance_px2[named]),
         )
 
 
 def known_of(observer: Observer | None) -> Known:
-    """What an observer's epoch and velocity say of a frame."""
+    """Epoch and velocity of an observer, as integers for the library."""
     if observer is None:
         return Known()
     return Known(velocity_of(observer.velocity_km_s), epoch_of(observer.epoch_jyear))
@@ -195,8 +191,8 @@ def prior_numbers(prior: Prior | None) -> tuple[int, ...]:
 
 
 def star_list(xy: ArrayLike, flux: ArrayLike, sigma_px: ArrayLike) -> StarList:
-    """Integers of star positions (N, 2), fluxes (N,) and standard errors on one axis; of the positions that are not
-    finite nothing is kept.
+    """Integers of star positions (N, 2), fluxes (N,) and standard errors on one axis; positions that are not
+    finite are left out.
 
     Raises
     ------

@@ -37,7 +37,7 @@ from startracker.flight.stars import StarList
 from startracker.solution import Status
 
 OPTIONS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
-"""Options of the compiler: those of the exported Makefile that determine the code, and those of a shared library."""
+"""Options of the compiler: the options of the exported Makefile that determine the code, and those of a library."""
 _LIBRARIES = () if sys.platform == "win32" else ("-lm",)
 _COUNTS = ("stars", "matched", "used", "evidence", "chance", "steps", "contradicted")
 _KNOWN, _ANSWER, _PRIOR, _STATE = 15, 22, 10, 47
@@ -66,13 +66,13 @@ class FilterState(NamedTuple):
     bias_rad_s: FloatArray
     """(3,) each, camera axes."""
     covariance: FloatArray
-    """(6, 6): Of the attitude and of the rate, or the bias, rad² and seconds."""
+    """(6, 6): covariance of the attitude and of the rate, or the bias; rad² and seconds."""
     distance2: float
     """Squared distance of the last innovation; negative if there is none."""
 
 
 def cache_folder() -> Path:
-    """Folder of the compiled libraries, in that of the catalogues' cache (`startracker.catalog.cache.folder`)."""
+    """Folder of the compiled libraries, within the cache of the catalogues (`startracker.catalog.cache.folder`)."""
     return folder() / "flight"
 
 
@@ -114,7 +114,7 @@ def compiled_library(design: FlightDesign, cache: Path | None = None) -> Path:
 
 
 def _compile(sources: Mapping[str, str], compiler: Sequence[str], target: Path) -> Path:
-    """Compile the sources in their target; the library gets its name at the end, so that processes which do this at the
+    """Compile the sources in their target; the library gets its name at the end, so that processes that do this at the
     same time do not disturb each other."""
     for name, text in sources.items():
         write_atomically(target / name, text, durable=False)
@@ -170,7 +170,7 @@ class FlightLibrary:
 
     @property
     def version(self) -> str:
-        """What it was made from."""
+        """Text by which the compiled C states what it was made from."""
         return str(self._c.library_version().decode())
 
     # ------------------------------------------------------------------ frames

@@ -30,7 +30,7 @@ class ProgramAnswer(NamedTuple):
     """``stars``, ``matched``, ``used``, ``evidence``, ``chance``, ``steps``, ``contradicted``; of a sequence
     ``filter``."""
     quaternion: tuple[int, ...] = ()
-    """x, y, z, w of 2.30; empty unless solved, as all that follows."""
+    """x, y, z, w with 30 fraction bits; empty unless solved, as are the fields below."""
     covariance: tuple[int, ...] = ()
     """Rows of the matrix, square radians, 60 fraction bits."""
     numbers: tuple[int, ...] = ()
@@ -61,7 +61,7 @@ def parse_answer(line: str) -> ProgramAnswer:
 
 
 def velocity_of(velocity_km_s: ArrayLike | None) -> tuple[int, ...]:
-    """Velocity of the observer over that of light, 2.30; zeros for None."""
+    """Velocity of the observer divided by the speed of light, with 30 fraction bits; zeros for None."""
     if velocity_km_s is None:
         return (0, 0, 0)
     return tuple(np.rint(np.asarray(velocity_km_s, dtype=float) / SPEED_OF_LIGHT_KM_S * _ONE).astype(int).tolist())
@@ -80,13 +80,13 @@ def list_text(
     ----------
     stars : StarList
     velocity : three ints
-        Of the observer over that of light, 2.30.
+        Velocity of the observer divided by the speed of light, with 30 fraction bits.
     prior : ten ints, optional
-        Matrix of 2.30 by rows, and the radius with 28 fraction bits.
+        Matrix by rows, with 30 fraction bits, and the radius with 28.
     time_us : int, optional
-        Of a sequence.
+        Time of the frame in a sequence.
     epoch : int, optional
-        Julian epoch, years of 16 fraction bits; None: that of the tables.
+        Julian epoch, years with 16 fraction bits; None: the epoch of the tables.
     """
     lines = [f"velocity {' '.join(map(str, velocity))}"]
     if epoch is not None:

@@ -35,7 +35,7 @@ from startracker.solution import Solution, Status
 from startracker.tracking import GyroNoise, Innovation, RateNoise, TrackingState
 
 _COMPONENTS = 3
-"""Of an innovation: the C filters attitudes."""
+"""Number of components of an innovation: the C filters attitudes."""
 _MICRO, _ONE_RAD_S = 1e6, float(1 << 30)
 """Units of times and gyro rates."""
 
@@ -46,7 +46,7 @@ class FlightSession:
     Parameters
     ----------
     engine : FlightEngine
-        Whose library is then that of this session.
+        The engine; its library keeps the filter, and must not be used by another session.
 
     Notes
     -----
@@ -100,7 +100,8 @@ class FlightSession:
         attitude : Attitude, optional
             ICRS to camera, at the time of the next frame.
         sigma_deg : float
-            Its standard deviation about each axis, degrees; as of a uniform distribution, which ends at √3 of it.
+            Its standard deviation about each axis, degrees. The prior is a uniform distribution of this deviation, with
+            a radius of √3 times as much.
         """
         self._library.forget()
         self.state = TrackingState()
@@ -122,8 +123,8 @@ class FlightSession:
         known = self._predict(t_s, gyro_rad_s, given.observer)
         if known is None:
             return self._bad_time(t_s, clock)
-        if not self.tracker.read(given.image, known):
-            return self.tracker.refused(Status.BAD_IMAGE, "the image has another size than the camera", clock)
+        if fault := self.tracker.read(given.image, known):
+            return self.tracker.refused(Status.BAD_IMAGE, fault, clock)
         clock.lap("detection")
         self._library.finish()
         clock.lap("identification")
@@ -149,7 +150,7 @@ class FlightSession:
         return self._follow(known, observer, clock)
 
     def _predict(self, t_s: float, gyro_rad_s: ArrayLike | None, observer: Observer | None) -> Known | None:
-        """Propagate to a frame's time, and what is known of the frame; None if the time cannot be used."""
+        """Propagate to a frame's time; returns what is known of the frame, or None if the time cannot be used."""
         gyro = None
         if gyro_rad_s is not None and np.isfinite(np.asarray(gyro_rad_s, dtype=float)).all():
             gyro = np.rint(np.asarray(gyro_rad_s, dtype=float) * _ONE_RAD_S).astype(int).tolist()
@@ -189,7 +190,7 @@ class FlightSession:
         return solution
 
     def _innovation(self) -> Innovation | None:
-        """That of the last attitude; None if the filter has just begun a new window."""
+        """Innovation of the last attitude; None if the filter has just begun a new window."""
         state = self._library.filter()
         if state is None or state.distance2 < 0.0:
             return None

@@ -1,4 +1,4 @@
-"""Content of the report: answer, tables and sentences, for both the page and the PDF.
+"""Content of the report of a run: answer, tables and sentences.
 
 Everything is taken from ``summary.json`` and ``trials.parquet``; quantities missing in older runs are omitted.
 """
@@ -7,29 +7,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.html_page import Table, provenance, verdict_table
 from simulator.study.intervals import wilson_interval
+from simulator.study.pages.page import Block, Table, Words, lead, paragraph
+from simulator.study.pages.parts import unphysical_notes, verdict_table
 from simulator.study.specification.outcome import identified, outcome_flags
 from simulator.study.specification.verdicts import Judgement
 from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
-from simulator.study.texts import percent_text
+from simulator.study.texts import axis_name, between_text, percent_text
 
 if TYPE_CHECKING:
     from simulator.scenario import Scenario
 
 Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20
-RENDER_COMMAND = "boresight render scenario.resolved.yaml --index I --preview trial-I.png"
-"""Command that renders any trial again, in the results folder."""
 AT_THE_BOUND = 1.1
 """Maximum ratio of error to bound for the error to count as limited by the bound."""
-AXIS_NAMES = {axis: axis.replace("_", " ").replace("about boresight", "about the boresight") for axis in AXES}
+AXIS_NAMES = {axis: axis_name(axis).replace("about boresight", "about the boresight") for axis in AXES}
 
 
 @dataclass(frozen=True)
@@ -44,51 +43,15 @@ class Answer:
     rates: Table
     limits: tuple[str, ...]
 
-
-@dataclass(frozen=True)
-class Content:
-    """All text of a report."""
-
-    answer: Answer
-    accuracy: Table
-    outliers: Table
-    budget: Table
-    how: str
-    provenance: str
-    notes: tuple[str, ...] = field(default=())
-
-
-def content_of(
-    scenario: Scenario, summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None = None
-) -> Content:
-    """Text of the report.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The scenario.
-    summary : mapping
-        As in ``summary.json``.
-    columns : dict of arrays
-        As in ``trials.parquet``.
-    budget : mapping, optional
-        As in ``budget.json``, if ``boresight study budget`` has been run.
-    """
-    from simulator.study.specification.measured import judge_frames  # not loaded where pages are drawn
-
-    judged = judge_frames(scenario, columns)
-    notes = [f"Unphysical value permitted by the scenario: {reason}" for reason in summary["unphysical"]]
-    if summary["interrupted"]:
-        notes.append(f"This run was interrupted: {summary['trials']} of {summary['requested']} trials are included.")
-    return Content(
-        answer=_answer(judged, summary, columns, budget),
-        accuracy=_accuracy(summary),
-        outliers=_outliers(summary, columns),
-        budget=_budget(budget),
-        how=_how(scenario, summary),
-        provenance=provenance({"name": scenario.name, **summary}, scenario.fingerprint()),
-        notes=tuple(notes),
-    )
+    @property
+    def blocks(self) -> tuple[Block, ...]:
+        """The answer as it is shown."""
+        return (
+            lead(Words(self.verdict, self.state), f" {self.margin}"),
+            self.axes,
+            self.rates,
+            paragraph(Words("Limits.", "strong"), " ", " ".join(self.limits)),
+        )
 
 
 def angle_text(value_deg: float | None) -> str:
@@ -106,13 +69,26 @@ def interval_text(interval: Any, text: Callable[[float | None], str] = angle_tex
     """``low to high`` of an interval, with a common unit only once; empty without an interval, – for an open limit."""
     if interval is None or all(end is None for end in interval):
         return ""
-    low, high = (text(end) for end in interval)
-    return f"{low[:-1] if low[-1] == high[-1] == '″' else low} to {high}"
+    low, high = interval
+    return between_text(text(low), text(high))
 
 
-def _answer(
-    judged: Judgement, summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None
+def answer_of(
+    judged: Judgement, summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, Any] | None = None
 ) -> Answer:
+    """First lines of the report.
+
+    Parameters
+    ----------
+    judged : Judgement
+        Verdicts on the specification of the run.
+    summary : mapping
+        As in ``summary.json``.
+    columns : mapping of arrays
+        As in ``trials.parquet``.
+    budget : mapping, optional
+        As in ``budget.json``, if ``boresight study budget`` has been run.
+    """
     n, solved, wrong = summary["trials"], summary["solved"], summary["wrong"]
     rates = []
     for name, count in (
@@ -132,6 +108,19 @@ def _answer(
         rates=Table(("rate", "frames", "fraction", "95 % interval"), tuple(rates)),
         limits=_limits(summary, columns, budget),
     )
+
+
+def render_command(trial: str = "I") -> str:
+    """Command that renders a trial again, in the results folder."""
+    return f"boresight render scenario.resolved.yaml --index {trial} --preview trial-{trial}.png"
+
+
+def notes_of(summary: Mapping[str, Any]) -> tuple[str, ...]:
+    """What a reader must know first: unphysical values, and whether the run was interrupted."""
+    notes = unphysical_notes(summary["unphysical"])
+    if summary["interrupted"]:
+        notes.append(f"This run was interrupted: {summary['trials']} of {summary['requested']} trials are included.")
+    return tuple(notes)
 
 
 def _margin(judged: Judgement) -> str:
@@ -192,7 +181,8 @@ def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
     return tuple(said)
 
 
-def _accuracy(summary: Mapping[str, Any]) -> Table:
+def accuracy_table(summary: Mapping[str, Any]) -> Table:
+    """Errors about each axis, with intervals."""
     rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
@@ -236,7 +226,8 @@ def outlier_positions(columns: Columns, summary: Mapping[str, Any]) -> list[tupl
     return list(found.items())
 
 
-def _outliers(summary: Mapping[str, Any], columns: Columns) -> Table:
+def outliers_table(summary: Mapping[str, Any], columns: Columns, anchors: Mapping[str, str] | None = None) -> Table:
+    """Notable trials, the first `MOST_OUTLIERS`; those in `anchors` lead to their frame in the page."""
     found = outlier_positions(columns, summary)
     shown = [i for i, _ in found[:MOST_OUTLIERS]]
     texts = [[why for _, why in found[:MOST_OUTLIERS]]]
@@ -252,10 +243,12 @@ def _outliers(summary: Mapping[str, Any], columns: Columns) -> Table:
     if every > MOST_OUTLIERS:
         note = f"The first {MOST_OUTLIERS} of {every}; all are in trials.parquet. "
     note += "To render any trial again, run in the folder of this report, with I its index:"
-    return Table(("trial", "UTC", "what", *BODY_AXES, "stars", "reason"), tuple(rows), (1, 2, 7), note)
+    links = tuple((anchors or {}).items())
+    return Table(("trial", "UTC", "what", *BODY_AXES, "stars", "reason"), tuple(rows), (1, 2, 7), note, links)
 
 
-def _how(scenario: Scenario, summary: Mapping[str, Any]) -> str:
+def method_text(scenario: Scenario, summary: Mapping[str, Any]) -> str:
+    """How the numbers came about."""
     sampling = {
         "mission_year": "at times distributed over a year of the mission",
         "orbit": "distributed over one rotation" if scenario.pointing.spin.rate_deg_s else "distributed over one orbit",
@@ -277,10 +270,8 @@ def _ratio_text(ratio: float | None) -> str:
     return "–" if ratio is None else f"{ratio:.3f}"
 
 
-def _budget(budget: Mapping[str, Any] | None) -> Table:
-    """Rows of the contributions of effects and classes from `Budget.to_dict`, largest first."""
-    if budget is None:
-        return Table()
+def budget_table(budget: Mapping[str, Any]) -> Table:
+    """Contributions of effects and classes from `Budget.to_dict`, largest first."""
     rows = []
     for what, entries in (("effect", budget["effects"]), ("class", budget["classes"])):
         for entry in sorted(entries, key=_added_across, reverse=True):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
 from simulator.study.pictures import draw_solution, shades_of, title_of
+from simulator.study.report.content import render_command
 from simulator.study.specification.requirements import Specification
 from simulator.study.statistics import AXES
 from simulator.study.style import Panel
@@ -39,8 +40,8 @@ def chosen_trials(columns: Columns, specification: Specification) -> list[tuple[
 
 def frame_panels(
     scenario: Scenario, columns: Columns, specification: Specification, runner: TrialRunner | None = None
-) -> list[tuple[Panel, int]]:
-    """Panels of the selected trials with their indices; each frame is rendered and solved again, as in the run.
+) -> dict[int, Panel]:
+    """Panels of the selected trials by their indices; each frame is rendered and solved again, as in the run.
 
     Parameters
     ----------
@@ -57,7 +58,7 @@ def frame_panels(
         height, width = frame.image.shape
         made[index] = Panel(
             f"Trial {index}, the {what}",
-            f"boresight render scenario.resolved.yaml --index {index} --preview trial-{index}.png",
+            "",
             functools.partial(
                 draw_solution,
                 shades=shades_of(frame.image, 512),
@@ -66,5 +67,7 @@ def frame_panels(
                 names=8,
             ),
             height_in=4.2 * min(1.3, height / width) + 0.35,
+            anchor=f"trial-{index}",
+            command=render_command(str(index)),
         )
-    return [(panel, index) for index, panel in made.items()]
+    return made

@@ -1,20 +1,27 @@
-"""The report: one self-contained HTML page, with the answer in its first lines; for PDF see
-`simulator.study.report.pdf`."""
+"""The page of a run, with the answer in its first lines."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from simulator.study.html_page import TONES, drawn, render_page
-from simulator.study.report.content import Content, content_of
-from simulator.study.report.drawing import drawn_apart
-from simulator.study.report.figures import Panels, panels
+from simulator.study.pages.drawing import drawn_apart
+from simulator.study.pages.html import html_of
+from simulator.study.pages.page import Figures, Page, Section, Words, paragraph, sections, soft
+from simulator.study.pages.parts import provenance
+from simulator.study.report.content import (
+    accuracy_table,
+    answer_of,
+    budget_table,
+    method_text,
+    notes_of,
+    outliers_table,
+    render_command,
+)
+from simulator.study.report.figures import panels
 from simulator.study.specification.requirements import specification_of
-from simulator.study.style import Panel
 from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
@@ -22,41 +29,22 @@ if TYPE_CHECKING:
     from simulator.study.trials.trial import TrialRunner
 
 
-@dataclass(frozen=True)
-class Report:
-    """Text and figures of a report, before layout."""
-
-    name: str
-    description: str
-    """Of the scenario."""
-    summary: Mapping[str, Any]
-    """Its ``summary.json``."""
-    content: Content
-    """Text and tables."""
-    panels: Panels
-    """Figures of the statistics."""
-    frames: list[tuple[Panel, int]]
-    """Example frames and the indices of their trials."""
-    resolved: str
-    """The scenario as YAML."""
-
-
-def build_report(
+def report_page(
     scenario: Scenario,
     summary: Mapping[str, Any],
     columns: Mapping[str, NDArray[Any]],
     *,
     runner: TrialRunner | None = None,
     budget: Mapping[str, Any] | None = None,
-) -> Report:
-    """Content of a report.
+) -> Page:
+    """Content of the page of a run.
 
     Parameters
     ----------
     scenario : Scenario
         The scenario.
     summary : mapping
-        As in ``summary.json``; the report also states if the run was interrupted.
+        As in ``summary.json``; the page also states if the run was interrupted.
     columns : mapping of arrays
         As in ``trials.parquet``.
     runner : TrialRunner, optional
@@ -64,34 +52,35 @@ def build_report(
     budget : mapping, optional
         As in ``budget.json``.
     """
-    from simulator.study.report.frames import frame_panels  # with the renderer, not loaded where pages are drawn
+    # with the renderer, not loaded where pages are drawn
+    from simulator.study.report.frames import frame_panels
+    from simulator.study.specification.measured import judge_frames
 
-    specification = specification_of(scenario)
-    return Report(
-        scenario.name,
-        scenario.description,
-        summary,
-        content_of(scenario, summary, columns, budget),
-        panels(columns, specification, load_catalog(scenario.sky.catalog)),
-        frame_panels(scenario, columns, specification, runner),
-        scenario.to_yaml(),
-    )
-
-
-def html_of(report: Report) -> str:
-    """The report as one page without scripts or external links, in light and dark, for desktop, phone and print."""
-    return render_page(
-        "report/report.html.j2",
-        name=report.name,
-        description=report.description,
-        summary=report.summary,
-        content=report.content,
-        tone=TONES[report.content.answer.state],
-        errors=[drawn(panel, f"e{i}") for i, panel in enumerate(report.panels.errors)],
-        trends=[drawn(panel, f"t{i}") for i, panel in enumerate(report.panels.trends)],
-        wide=[drawn(panel, f"w{i}") for i, panel in enumerate(report.panels.wide)],
-        frames=[drawn(panel, f"f{i}", f"trial-{index}") for i, (panel, index) in enumerate(report.frames)],
-        resolved=report.resolved,
+    specification, judged = specification_of(scenario), judge_frames(scenario, columns)
+    found = panels(columns, specification, load_catalog(scenario.sky.catalog))
+    frames = frame_panels(scenario, columns, specification, runner)
+    anchors = {str(index): panel.anchor for index, panel in frames.items()}
+    frames_note = "Images with the results of the tracker: squares mark detections, circles identified stars."
+    versions = ", ".join(f"{name} {number}" for name, number in summary["versions"].items())
+    return Page(
+        heading=f"{scenario.name}: study of {summary['trials']} trials",
+        description=scenario.description,
+        provenance=provenance({"name": scenario.name, **summary}, scenario.fingerprint()),
+        answer=answer_of(judged, summary, columns, budget).blocks,
+        verdict=judged.state,
+        notes=notes_of(summary),
+        sections=sections(
+            Section("Accuracy", (accuracy_table(summary), Figures(tuple(found.errors)))),
+            Section("Dependence of the error", (Figures(tuple(found.trends)),)) if found.trends else None,
+            Section("Error budget", (budget_table(budget),)) if budget else None,
+            Section("Time and sky", (Figures(tuple(found.wide)),)),
+            Section("Frames", (soft(frames_note), Figures(tuple(frames.values()), 2))),
+            Section(
+                "Outliers", (outliers_table(summary, columns, anchors), paragraph(Words(render_command(), "code")))
+            ),
+            Section("Method", (paragraph(method_text(scenario, summary)), soft(f"{versions}."))),
+        ),
+        scenario=scenario.to_yaml(),
     )
 
 
@@ -102,5 +91,5 @@ def report_html(
     *,
     runner: TrialRunner | None = None,
 ) -> str:
-    """`build_report` and `html_of` in one, drawn in a separate process."""
-    return drawn_apart(html_of, build_report(scenario, summary, columns, runner=runner))
+    """The page of a run as HTML, drawn in a separate process."""
+    return drawn_apart(html_of, report_page(scenario, summary, columns, runner=runner))

@@ -31,10 +31,10 @@ from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.trackers import Session, session_of, tracker_of
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from simulator.study.trials.trial import attitude_errors_deg, in_field, misidentified, normalised_error_squared
+from startracker._compiled import clock
 from startracker.core import FloatArray
 from startracker.display import fields_repr
 from startracker.geometry.attitude import Attitude
-from startracker.kernels import clock
 from startracker.solution import Solution
 from startracker.tracker import StarTracker
 from startracker.tracking import GyroNoise, RateNoise
@@ -157,12 +157,12 @@ class SequenceCamera:
         started = clock()
         taken = self._expose(moment)
         rendered = clock()
-        if taken is None or (operated is not None and operated.verdict.image is None):
+        if taken is None:
             return self._refused(moment, taken, (rendered - started) * 1e3)
         frame, truth = taken
-        image: NDArray[Any] = frame.image
-        if operated is not None and operated.verdict.image is not None:
-            image = operated.verdict.image
+        image: NDArray[Any] | None = frame.image if operated is None else operated.verdict.image
+        if image is None:
+            return self._refused(moment, taken, (rendered - started) * 1e3)
         known: dict[str, Any] = {n: getattr(frame, n) for n in ("observer", "saturation_dn", "gain_e_per_dn")}
         at_s = moment.since_s + truth.time_tag_error_s
         solution = session.update(image, at_s, gyro_rad_s=moment.gyro_rad_s, **known)
@@ -203,11 +203,11 @@ class SequenceCamera:
     def _refused(self, moment: Moment, taken: tuple[Frame, FrameTruth] | None, render_ms: float) -> TrackedFrame:
         """A frame that is discarded by the rules of operation, or was not taken."""
         assert self.operated is not None
-        frame, truth = taken if taken is not None else (None, None)
-        true = truth.attitude if truth is not None else self._true_camera(moment)
-        row, solution = self._without_image(moment, true, math.nan if frame is None else render_ms)
-        if frame is not None and truth is not None:
-            row |= self._counts(frame, truth, solution)
+        true = self._true_camera(moment) if taken is None else taken[1].attitude
+        row, solution = self._without_image(moment, true, math.nan if taken is None else render_ms)
+        if taken is not None:
+            row |= self._counts(*taken, solution)
+        frame, truth = taken or (None, None)
         row |= self._alone(None, None) | self.operated.columns(frame, solution, self.session)
         return TrackedFrame(row | self.operated.refused(), frame, solution, _NO_WINDOWS, 0, truth)
 
@@ -250,18 +250,19 @@ class SequenceCamera:
         """True and estimated rate, and with a gyro its bias, camera axes."""
         section, session = self.scenario.sequence, self.session
         rate, covariance = session.rate_rad_s, session.covariance
+        spread = None if covariance is None else np.sqrt(np.diag(covariance)[3:])
+        sigma = spread
         if rate is None or covariance is None or (section.gyro.use and moment.gyro_rad_s is None):
-            rate, variance = np.full(3, math.nan), np.full(3, math.nan)
-        else:
-            variance = np.diag(covariance)[3:]
-            if section.gyro.use:
-                variance = variance + (section.gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H) ** 2 / section.step_s
+            rate = sigma = None
+        elif section.gyro.use:
+            white = (section.gyro.angle_random_walk_deg_sqrt_h * DEG_SQRT_H) ** 2 / section.step_s
+            sigma = np.sqrt(np.diag(covariance)[3:] + white)
         true = moment.rate_rad_s(self.renderer.exposure_s)
-        row = three_columns("rate", "deg_s", true, rate, np.sqrt(variance), math.degrees(1.0))
+        row = three_columns("rate", "deg_s", true, rate, sigma, math.degrees(1.0))
         if moment.bias_rad_s is not None:
-            bias = session.bias_rad_s if session.bias_rad_s is not None else np.full(3, math.nan)
-            spread = np.sqrt(np.diag(covariance)[3:]) if covariance is not None else np.full(3, math.nan)
-            row |= three_columns("bias", "deg_h", moment.bias_rad_s / DEG_H, bias / DEG_H, spread / DEG_H, 1.0)
+            bias = None if session.bias_rad_s is None else session.bias_rad_s / DEG_H
+            spread = None if spread is None else spread / DEG_H
+            row |= three_columns("bias", "deg_h", moment.bias_rad_s / DEG_H, bias, spread, 1.0)
         return row
 
     def _counts(self, frame: Frame, truth: FrameTruth, solution: Solution) -> dict[str, int | str]:

@@ -80,12 +80,11 @@ def row_errors_deg(row: Mapping[str, Any]) -> dict[str, float]:
 
 
 def three_columns(
-    name: str, unit: str, true: FloatArray, found: FloatArray, sigma: FloatArray, factor: float
+    name: str, unit: str, true: FloatArray, found: FloatArray | None, sigma: FloatArray | None, factor: float
 ) -> dict[str, float]:
-    """True and estimated values about three axes and their standard deviations, in a unit."""
+    """True and estimated values about three axes and their standard deviations, in a unit; NaN for None."""
     columns: dict[str, float] = {}
     for i, axis in enumerate("xyz"):
-        columns[f"true_{name}_{axis}_{unit}"] = float(true[i]) * factor
-        columns[f"{name}_{axis}_{unit}"] = float(found[i]) * factor
-        columns[f"sigma_{name}_{axis}_{unit}"] = float(sigma[i]) * factor
+        for prefix, values in (("true_", true), ("", found), ("sigma_", sigma)):
+            columns[f"{prefix}{name}_{axis}_{unit}"] = math.nan if values is None else float(values[i]) * factor
     return columns

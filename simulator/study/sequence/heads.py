@@ -22,10 +22,10 @@ from simulator.study.sequence.head_camera import BodyState, HeadCamera, scenario
 from simulator.study.sequence.true_motion import jitter_at, start_pointing, states_at
 from simulator.study.specification.outcome import UNKNOWN, outcome_of
 from simulator.study.specification.requirements import specification_of
+from startracker._compiled import clock
 from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.fusion import AlignedMekf, FusionFilter
 from startracker.geometry.attitude import Attitude
-from startracker.kernels import clock
 from startracker.settings import TrackingSettings
 from startracker.solution import Solution, Status
 
@@ -286,7 +286,7 @@ class _Flight:
     def _rates(self, true_rad_s: FloatArray, mekf: AlignedMekf | None) -> dict[str, float]:
         """True and estimated rate of the first head."""
         section = self.runner.scenario.sequence
-        rate, sigma = np.full(3, math.nan), np.full(3, math.nan)
+        rate = sigma = None
         if mekf is not None and (self._samples or not section.gyro.use):
             to_camera = mekf.mounting(0).as_matrix()
             rate, variance = to_camera @ mekf.rate_rad_s, mekf.covariance[3:, 3:]
@@ -302,14 +302,13 @@ class _Flight:
         gyro = self.runner.gyro
         if gyro is None:
             return {}
-        unknown = np.full(3, math.nan)
         true = gyro.biases_rad_s[self.runner.ends_s.index(since_s)]
-        bias = unknown if mekf is None else mekf.bias_rad_s
-        sigma = unknown if mekf is None else np.sqrt(np.diag(mekf.covariance)[3:])
+        bias = None if mekf is None else mekf.bias_rad_s
+        sigma = None if mekf is None else np.sqrt(np.diag(mekf.covariance)[3:])
         columns = three_columns("bias", "deg_h", true, bias, sigma, 1.0 / DEG_H)
         if self.runner.scenario.sequence.gyro.scale_factor_ppm:
-            scale = unknown if mekf is None else mekf.scale
-            sigma = unknown if mekf is None else mekf.scale_sigma
+            scale = None if mekf is None else mekf.scale
+            sigma = None if mekf is None else mekf.scale_sigma
             columns |= three_columns("scale", "ppm", gyro.scale, scale, sigma, 1e6)
         return columns
 
@@ -318,8 +317,7 @@ def _alignment_columns(camera: HeadCamera, head: int, mekf: AlignedMekf | None) 
     """True and estimated alignment of a head about its own axes; empty for an exact mounting."""
     if not camera.head.alignment_sigma_arcsec:
         return {}
-    unknown = np.full(3, math.nan)
-    found = unknown if mekf is None else mekf.alignment_rad(head)
-    sigma = unknown if mekf is None else mekf.alignment_sigma_rad(head)
+    found = None if mekf is None else mekf.alignment_rad(head)
+    sigma = None if mekf is None else mekf.alignment_sigma_rad(head)
     columns = three_columns("alignment", "arcsec", camera.misalignment_rad, found, sigma, 1.0 / ARCSEC_RAD)
     return {f"head_{camera.name}_{name}": value for name, value in columns.items()}

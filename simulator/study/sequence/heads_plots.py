@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from simulator.study.html_page import Table
+from simulator.study.pages.page import Table
 from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.plots import draw_compared
 from simulator.study.sequence.time_axis import draw_strip, nearly_all, time_axis

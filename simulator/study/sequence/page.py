@@ -1,20 +1,34 @@
-"""The page of a sequence: a self-contained HTML file with the answer in its first lines."""
+"""The page of a sequence, with the answer in its first lines."""
 
 from __future__ import annotations
 
-import base64
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.html_page import TONES, Table, drawn, provenance, render_page, verdict_table
+from simulator.study.pages.page import (
+    Block,
+    Figures,
+    Page,
+    Picture,
+    Section,
+    Table,
+    Words,
+    lead,
+    paragraph,
+    sections,
+    soft,
+)
+from simulator.study.pages.parts import provenance, unphysical_notes, verdict_table
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.heads_plots import heads_panels, heads_table
 from simulator.study.sequence.plots import MODE_TITLES, panels
+from simulator.study.sequence.statistics import consistency_text
 from simulator.study.specification.outcome import outcome_text
+from simulator.study.specification.verdicts import NOT_MET
 from simulator.study.statistics import AXES
-from simulator.study.texts import deg_text
+from simulator.study.texts import axis_name, deg_text
 
 if TYPE_CHECKING:
     from simulator.study.sequence.result import Sequence
@@ -26,8 +40,8 @@ _MOST_UNSOLVED = 20
 """Maximum number of unsolved frames that the page lists."""
 
 
-def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
-    """Complete page without scripts or external links.
+def sequence_page(sequence: Sequence, gif: bytes | None = None) -> Page:
+    """Content of the page of a sequence.
 
     Parameters
     ----------
@@ -37,30 +51,72 @@ def sequence_html(sequence: Sequence, gif: bytes | None = None) -> str:
         The animation.
     """
     scenario, summary, columns = sequence.scenario, sequence.summary, sequence.columns
-    judged, heads = sequence.judgement, [head.name for head in scenario.heads]
-    groups = [
-        (heading, [drawn(panel, f"s{i}-{k}") for k, panel in enumerate(group)])
-        for i, (heading, group) in enumerate((heads_panels(columns, heads) | panels(columns)).items())
-    ]
-    embedded = gif is not None and len(gif) <= _LARGEST_GIF_BYTES
-    return render_page(
-        "sequence/sequence.html.j2",
-        scenario=scenario,
-        summary=summary,
+    heads = [head.name for head in scenario.heads]
+    groups = heads_panels(columns, heads) | panels(columns)
+    lens = summary.get("in_flight_calibration")
+    modes = tuple((MODE_TITLES[mode], f"{summary['time_in_mode_s'][mode]:g} s") for mode in MODES)
+    median_ms = summary["median_ms"]
+    times = f"Median {median_ms['render'] or 0:.1f} ms to render a frame, {median_ms['track'] or 0:.1f} ms to track it."
+    return Page(
+        heading=f"{scenario.name}: sequence of {summary['frames']} frames",
+        description=scenario.description,
         provenance=provenance(summary, scenario.fingerprint()),
-        outcome=outcome_text(summary),
-        tone=TONES[judged.state],
-        verdict=judged.text,
-        requirements=verdict_table(judged),
-        accuracy=_accuracy(summary),
-        heads=heads_table(summary["heads"]) if heads else None,
-        modes=Table(("mode", "time"), tuple((MODE_TITLES[m], f"{summary['time_in_mode_s'][m]:g} s") for m in MODES)),
-        groups=groups,
-        calibration=_calibration(summary["in_flight_calibration"]) if "in_flight_calibration" in summary else None,
-        unsolved=_unsolved(summary, columns),
-        animation="data:image/gif;base64," + base64.b64encode(gif).decode("ascii") if embedded and gif else None,
-        beside=gif is not None and not embedded,
-        resolved=scenario.to_yaml(),
+        answer=_answer(sequence),
+        verdict=sequence.judgement.state,
+        notes=_notes(summary),
+        sections=sections(
+            Section("Frames", (_animation(gif),)) if gif is not None else None,
+            *(Section(heading, (Figures(tuple(group)),)) for heading, group in groups.items()),
+            Section("Calibrated lens", (_calibration(lens),)) if lens is not None else None,
+            Section("Accuracy", (_accuracy(summary),)),
+            Section("Accuracy of the heads", (heads_table(summary["heads"]),)) if heads else None,
+            Section("Time in each mode", (Table(("mode", "time"), modes),)),
+            Section("Unsolved frames", (_unsolved(summary, columns),)),
+            Section("Method", (paragraph(times),)),
+        ),
+        scenario=scenario.to_yaml(),
+    )
+
+
+def _answer(sequence: Sequence) -> tuple[Block, ...]:
+    summary, judged = sequence.summary, sequence.judgement
+    outcome: str | Words = outcome_text(summary)
+    if summary["wrong"]:
+        outcome = Words(outcome_text(summary), NOT_MET)
+    found: list[Block] = [
+        lead(Words(f"{judged.text}.", judged.state)),
+        verdict_table(judged),
+        paragraph(
+            "Attitude available for ",
+            Words(f"{100 * summary['availability']:.2f} %", "strong"),
+            f" of {summary['duration_s']:g} s, ",
+            outcome,
+            f"; longest outage {summary['longest_outage_s']:g} s.",
+        ),
+    ]
+    if summary["inconsistency"]:
+        found.append(paragraph(f"{summary['inconsistency']['text']}."))
+    if consistency := consistency_text(summary["nees"]):
+        found.append(paragraph(consistency))
+    return tuple(found)
+
+
+def _notes(summary: dict[str, Any]) -> tuple[str, ...]:
+    notes = unphysical_notes(summary["unphysical"])
+    if summary["interrupted"]:
+        frames = f"{summary['frames']} of {summary['requested']} frames"
+        notes.insert(0, f"This sequence was interrupted: {frames} are included.")
+    return tuple(notes)
+
+
+def _animation(gif: bytes) -> Block:
+    if len(gif) > _LARGEST_GIF_BYTES:
+        return soft("The animation is in sequence.gif beside this page.")
+    return Picture(
+        gif,
+        "image/gif",
+        "Animation of the frames with windows and matched stars",
+        "Windows (orange), matched stars (blue), and the errors below. Also in sequence.gif.",
     )
 
 
@@ -70,7 +126,7 @@ def _accuracy(summary: dict[str, Any]) -> Table:
     for axis in AXES:
         errors = summary["errors_deg"][axis]
         row = [
-            axis.replace("_", " "),
+            axis_name(axis),
             *(deg_text(errors[name]) for name in ("mean", "std", "rms", "p997", "max")),
         ]
         if single:
@@ -119,6 +175,9 @@ def _unsolved(summary: dict[str, Any], columns: dict[str, NDArray[Any]]) -> Tabl
     """Frames that are unsolved or wrong, up to `_MOST_UNSOLVED`."""
     found = np.flatnonzero((columns["status"] != "solved") | columns["wrong"])[:_MOST_UNSOLVED]
     count = summary["frames"] - summary["solved"] + summary["wrong"]
+    note = "" if len(found) else "All frames were solved."
+    if count > _MOST_UNSOLVED:
+        note = f"The first {_MOST_UNSOLVED} of {count}; all are in sequence.parquet."
     return Table(
         ("frame", "time", "status", "reason"),
         tuple(
@@ -131,5 +190,5 @@ def _unsolved(summary: dict[str, Any], columns: dict[str, NDArray[Any]]) -> Tabl
             for i in found
         ),
         (2, 3),
-        f"The first {_MOST_UNSOLVED} of {count}; all are in sequence.parquet." if count > _MOST_UNSOLVED else "",
+        note,
     )

@@ -25,9 +25,9 @@ from simulator.study.sequence.statistics import fused_nees, summarise_heads, sum
 from simulator.study.statistics import median
 from simulator.study.trials.arrow import table_of
 from simulator.study.trials.stopping import stop_on_signal
+from startracker._compiled import clock
 from startracker._version import __version__
 from startracker.errors import BoresightError, InputError
-from startracker.kernels import clock
 
 Progress = Callable[[int, int], None]
 """Called with (frames finished, total frames)."""
@@ -179,7 +179,8 @@ def _tracked(
 
 def _write(sequence: Sequence, folder: Path, views: list[FrameView], asked: _Asked) -> tuple[str, ...]:
     """Write the result files atomically."""
-    from simulator.study.sequence.page import sequence_html
+    from simulator.study.pages.html import html_of
+    from simulator.study.sequence.page import sequence_page
 
     files: dict[str, bytes | str] = {
         "sequence.parquet": parquet_bytes(sequence.frames, compression="zstd"),
@@ -187,7 +188,7 @@ def _write(sequence: Sequence, folder: Path, views: list[FrameView], asked: _Ask
         "scenario.resolved.yaml": f"# boresight {__version__}\n{sequence.scenario.to_yaml()}",
     }
     gif = gif_bytes(views, sequence.columns, sequence.scenario.name) if views else None
-    files["sequence.html"] = sequence_html(sequence, gif)
+    files["sequence.html"] = html_of(sequence_page(sequence, gif))
     if gif is not None:
         files["sequence.gif"] = gif
         program = find_ffmpeg()

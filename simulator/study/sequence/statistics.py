@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -123,11 +124,10 @@ def fused_nees(columns: Columns) -> dict[str, Any]:
     Errors of alignments and of the gyro are constant through much of a sequence, which the scatter of the NEES does not
     show. The effective number is therefore that of the errors u, normalised by their standard deviations, whose mean
     is known to be zero: with ρ_k their autocorrelation, squares of Gaussian deviates have ρ_k², and N = n / (1 + 2 Σ
-    ρ_k²), summed while pairs of ρ_k stay positive (Geyer 1992, Statistical Science 7, 473).
+    ρ_k²), summed while pairs of ρ_k stay positive (Geyer 1992, Statistical Science 7, 473). The sum of all ρ_k² is at
+    most n (Young's inequality), so that N is at least 1.
     """
     solved = np.asarray(columns["status"] == "solved", dtype=bool) & np.isfinite(columns["nees"])
-    if solved.sum() < 2:
-        return nees_test(columns["nees"][solved])
     u = np.stack([(columns[f"error_{axis}_deg"] / columns[f"sigma_{axis}_deg"])[solved] for axis in CAMERA_AXES])
     n = u.shape[1]
     products = [float(np.sum(u[:, k:] * u[:, : n - k])) for k in range(n)]
@@ -136,7 +136,7 @@ def fused_nees(columns: Columns) -> dict[str, Any]:
         if products[k] + products[k + 1] <= 0.0:
             break
         total += 2.0 * (products[k] ** 2 + products[k + 1] ** 2) / products[0] ** 2
-    return nees_test(np.asarray(columns["nees"], dtype=float)[solved], max(n / total, 1.0))
+    return nees_test(np.asarray(columns["nees"], dtype=float)[solved], n / total)
 
 
 def summarise_heads(columns: Columns, scenario: Scenario) -> dict[str, Any]:
@@ -180,3 +180,18 @@ def _summary(columns: Columns, prefix: str, step_s: float) -> dict[str, Any]:
             for axis in "xyz"
         }
     return summary
+
+
+def consistency_text(nees: Mapping[str, Any]) -> str:
+    """Whether the stated covariance is consistent with the errors, from ``nees`` of ``sequence.json``; empty without a
+    solved frame."""
+    if nees["mean"] is None:
+        return ""
+    low, high = nees["bounds95"]
+    finding = "is consistent with the errors"
+    if not nees["within"]:
+        finding = "is too small" if nees["mean"] > 3 else "is too large"
+    return (
+        f"NEES {nees['mean']:.2f} (expected 3; 95 % band for a consistent covariance {low:.2f} to {high:.2f}): "
+        f"the stated covariance {finding}."
+    )

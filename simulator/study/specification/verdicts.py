@@ -19,7 +19,7 @@ from simulator.study.specification.requirements import (
     Requirement,
     Specification,
 )
-from simulator.study.texts import deg_text, percent_text
+from simulator.study.texts import between_text, deg_text, percent_text
 
 MET, NOT_MET, UNDECIDED = "met", "not met", "undecided"
 """Verdicts, on a requirement and on a specification."""
@@ -120,8 +120,7 @@ class Verdict:
         _, low, high, _, unknown = self.estimate
         if unknown or low == high:
             return ""
-        first, last = _quantity_text(self.requirement, low), _quantity_text(self.requirement, high)
-        return f"{first[:-1] if first[-1] == last[-1] == '″' else first} to {last}"
+        return between_text(_quantity_text(self.requirement, low), _quantity_text(self.requirement, high))
 
     @property
     def limit_text(self) -> str:

@@ -74,6 +74,7 @@ def write_results(
     scenarios : mapping
         Scenario of each possible point by its number; its specification is judged.
     """
+    from simulator.study.pages.html import html_of
     from simulator.study.sweep.page import sweep_page
     from simulator.study.sweep.plots import sweep_figures
 
@@ -98,7 +99,7 @@ def write_results(
     figures = sweep_figures(table)
     for figure in figures:
         write_atomically(pictures / f"{figure.name}.png", figure.png())
-    write_atomically(folder / "sweep.html", sweep_page(table, figures))
+    write_atomically(folder / "sweep.html", html_of(sweep_page(table, figures)))
 
 
 def join(files: list[Path], target: Path) -> None:

@@ -45,10 +45,10 @@ from simulator.study.trials.checked_files import fault_of, set_aside
 from simulator.study.trials.engine import MAX_ROUNDS, Trials, run_trials
 from simulator.study.trials.process_pool import WorkerPool
 from simulator.study.trials.trial import TrialRunner
+from startracker._compiled import clock
 from startracker._version import __version__
 from startracker.display import described
 from startracker.errors import BoresightError, InputError
-from startracker.kernels import clock
 
 POINTS_FOLDER = "points"
 

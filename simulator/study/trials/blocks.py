@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 
 from simulator.study.trials.arrow import table_of
-from startracker.kernels import clock
+from startracker._compiled import clock
 
 FIRST_TRIALS = 10
 """Trials per block while their duration is unknown."""

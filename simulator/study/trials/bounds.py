@@ -24,10 +24,10 @@ from simulator.optics.psf import Psf
 from simulator.optics.smear import star_paths
 from simulator.optics.splat import add_each_star
 from simulator.renderer import Renderer
+from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera
 from startracker.geometry.image_map import pixel_slopes as slopes_of_pixels
-from startracker.kernels import kernel, kernel_part
 
 SAME_STAR_PX = 3.0
 """A matched centroid is attributed to the brightest true star within this distance."""
@@ -150,12 +150,12 @@ def fisher_of_position(
     """Fisher matrices (N, 2, 2) of positions from images of unit flux, their derivatives, and variances (N, M, M);
     pixels with infinite variance are ignored."""
     out = np.empty((len(flux), 2, 2))
-    _fisher(out, share, slope_x, slope_y, np.asarray(flux, dtype=float), variance)
+    fill_fisher(out, share, slope_x, slope_y, np.asarray(flux, dtype=float), variance)
     return out
 
 
 @kernel
-def _fisher(
+def fill_fisher(
     out: FloatArray, share: FloatArray, slope_x: FloatArray, slope_y: FloatArray, flux: FloatArray, variance: FloatArray
 ) -> None:
     """Kernel of `fisher_of_position`."""

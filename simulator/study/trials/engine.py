@@ -21,7 +21,6 @@ from simulator.study.trials.parts import PartStore, discard_parts
 from simulator.study.trials.process_pool import WorkerPool, run_in_pool
 from simulator.study.trials.stopping import stop_on_signal
 from simulator.study.trials.trial import TrialRunner
-from simulator.study.trials.warm_up import compiling_beside
 from startracker.errors import BoresightError, InputError
 
 __all__ = ["Progress", "Trials", "discard_parts", "run_trials"]
@@ -116,8 +115,7 @@ def run_trials(
             if here and blocks and runner is None:
                 runner = TrialRunner(scenario)
             found = _run_here(runner, blocks, stop) if here else _run_elsewhere(scenario, blocks, dask, workers, stop)
-            with compiling_beside(runner) if here and runner else contextlib.nullcontext():
-                _keep(store, found, trials - blocks.left, trials, progress)
+            _keep(store, found, trials - blocks.left, trials, progress)
             if store.check() or stop.is_set():
                 break
         else:

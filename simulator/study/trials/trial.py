@@ -16,10 +16,10 @@ from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specificat
 from simulator.study.trackers import Tracker, tracker_of
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
+from startracker._compiled import clock
 from startracker.core import FloatArray
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
-from startracker.kernels import clock
 from startracker.solution import Solution
 
 STAGES = ("background", "detection", "centroid", "identification", "attitude")

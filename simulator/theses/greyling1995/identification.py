@@ -20,6 +20,7 @@ from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.guide_stars import BORESIGHT_DEC_DEG, FIELD_DEG, SIDE_PX, map_lines
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
+from startracker._compiled import clock
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.core import IntArray
@@ -27,7 +28,6 @@ from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
-from startracker.kernels import clock
 from startracker.settings import IdentificationSettings, MatchGroupSettings
 from startracker.solution import Status
 

@@ -14,6 +14,7 @@ from scipy.stats import norm
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.theses.detectors.round_regions import find_round_regions
 from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.greyling1995.segmentation import mars_diameters_arcsec
@@ -25,7 +26,7 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.centroid import Centroids
 from startracker.core import FloatArray, IntArray
-from startracker.detection import Background, Spots, estimate, find_round_regions
+from startracker.detection import Background, Spots, estimate
 from startracker.estimation import METHODS as ESTIMATORS
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera

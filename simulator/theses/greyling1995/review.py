@@ -26,8 +26,8 @@ from simulator.theses.greyling1995.identification import (
 )
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
+from startracker._compiled import clock
 from startracker.identification import METHODS
-from startracker.kernels import clock
 from startracker.settings import IdentificationSettings
 
 LIMIT = 6.2

@@ -13,13 +13,13 @@ from simulator.optics.psf import Psf
 from simulator.optics.splat import render_stars
 from simulator.randomness import stream
 from simulator.sky.ephemeris import barycentric_position_au
+from simulator.theses.detectors.region_growing import grow_objects, grow_regions
 from simulator.theses.figures import section_of
 from simulator.theses.greyling1995.blur import THESIS_SIGMA
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from startracker.core import AU_KM, FloatArray
-from startracker.detection import Background, Spots, estimate, grow_regions
-from startracker.detection.region_growing import grow_objects
+from startracker.detection import Background, Spots, estimate
 from startracker.settings import DetectionSettings
 
 Rule: TypeAlias = Literal["first", "brightest", "tracker"]

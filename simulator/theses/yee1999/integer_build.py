@@ -25,6 +25,7 @@ from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.integers import fixed_centroids
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Picture, vega
+from startracker._compiled import clock
 from startracker.core import FloatArray
 from startracker.estimation.plate import solve_plate
 from startracker.fixed_point.arithmetic import FixedArithmetic
@@ -45,7 +46,6 @@ from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
 from startracker.integer_export import CExport, export_c
-from startracker.kernels import clock
 
 _FIELDS = 80
 _SLENDER = 2e-3

@@ -17,12 +17,13 @@ from simulator.frame import Frame, FrameTruth
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.study.star_tracker import build_tracker
+from simulator.theses.detectors.clustering import find_clusters
 from simulator.theses.figures import section_of
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, VEGA_FOV_DEG, Analysis, Options, Picture, analyse, centred
 from startracker.core import FloatArray, IntArray
-from startracker.detection import estimate, find_clusters
+from startracker.detection import estimate
 from startracker.geometry.attitude import Attitude, radec_to_direction
 from startracker.identification.triad_search import TriadLimits
 from startracker.settings import DetectionSettings

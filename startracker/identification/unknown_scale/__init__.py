@@ -1,1 +1,2 @@
-"""Identification without a known focal length: pairs of pairs of stars, and fits that leave the scale free."""
+"""Identification without a known focal length: scale-free patterns of four stars, and fits that leave the scale
+free."""

@@ -1,17 +1,17 @@
-"""Identification when the focal length is known roughly or not at all: patterns of four, then a fitted camera.
+"""Identification with a focal length that is unknown or only roughly known: patterns of four, then a fitted camera.
 
-1. Patterns of neighbouring stars among the brightest are looked up by shape (`quads`), as seen and mirrored.
-2. Each candidate gives attitude and focal length; guide stars of the field are matched in a widening net while
+1. Patterns of neighbouring stars among the brightest are looked up by shape (`quads`), as observed and mirrored.
+2. Each candidate gives attitude and focal length; guide stars of the field are matched in a widening region while
    attitude, focal length and radial distortion are refitted.
-3. The evidence of all stars except the four that made the hypothesis is weighed against the number of candidates, and
-   accepted by probability (`log_evidence`).
+3. The evidence of all stars except the four of the pattern is compared with the number of candidates, and accepted by
+   probability (`log_evidence`).
 
-Null hypothesis of the evidence: each observed star is anywhere on the image, density 1/A. Hypothesis: with probability
-d it is a distractor, density 1/A; otherwise it is one of the K guide stars of the field, each with a Gaussian of width
-σ about its predicted position, and with a magnitude near the guide star's. With Λ the product of the ratios over the
-stars, the chance under the null hypothesis that Λ exceeds t is at most 1/t (Markov's inequality, as E[Λ] = 1), so that
-of H hypotheses one reaches H/ε by chance with probability at most ε, whatever the distribution of Λ. Source of the
-model: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, section 2.3; the bound is ours.
+Null hypothesis of the evidence: each observed star is anywhere on the image, with density 1/A. Hypothesis: it is a
+distractor with probability d, of density 1/A; otherwise it is one of the K guide stars of the field, with a Gaussian of
+width σ about its predicted position, and a magnitude near the guide star's. Let Λ be the product of the ratios over the
+stars. Under the null hypothesis the probability that Λ exceeds t is at most 1/t (Markov's inequality, because
+E[Λ] = 1). So the probability that one of H hypotheses reaches H/ε by chance is at most ε, whatever the distribution of
+Λ. Source of the model: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, section 2.3; the bound is ours.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ from startracker.identification.clustering_null import clustering_price
 from startracker.identification.unknown_scale.quads import QuadIndex, neighbour_quads, sky_codes
 
 WIDTHS_PX = (0.3, 1.0, 3.0)
-"""Standard errors tried on the residuals that are left after the fit."""
+"""Standard errors, px, that are tried for the residuals after the fit."""
 STAR_COUNTS = (8, 12, 18, 28)
-"""Brightest stars among which neighbours are sought: few where the sky is poor or the image shallow."""
+"""Numbers of the brightest stars among which neighbours are searched for: small ones if the sky is poor or the image
+shallow."""
 FOV_BANDS_DEG = ((3.0, 9.0, 18.0), (17.0, 22.0, 29.0), (27.0, 33.0, 40.0), (38.0, 46.0, 54.0), (51.0, 60.0, 72.0))
-"""Least, assumed and largest field of each band; shapes off the axis depend on the field, 1.5 % within a band."""
+"""Least, assumed and largest field of each band: shapes away from the axis depend on the field, by 1.5 % within a
+band."""
 FEWEST_MATCHED = 6
 DISTRACTORS = (0.1, 0.3, 0.6, 0.9)
-"""Shares of observed stars that are no guide stars; the best is taken and the choice paid for."""
+"""Shares of observed stars that are not guide stars; the best is used, and its selection is accounted for."""
 _CORE_MAG, _WIDE_MAG, _WIDE_SHARE = 0.3, 1.5, 0.3
 _MOST_CANDIDATES = 4000
 _LEAST_DEPTH = {"pinhole": 1e-3, "fisheye": -1.0}
@@ -56,17 +58,17 @@ class FreeFit:
     Parameters
     ----------
     camera : Camera
-        With the fitted focal length, radial distortion and parity.
+        Camera with the fitted focal length, radial distortion and parity.
     matrix : (3, 3)
         ICRS to camera.
     pairs : int (M, 2)
         Observed and guide index.
     covariance : (3, 3)
-        Of the rotation vector in camera axes, rad², focal length and distortion marginalised.
+        Covariance of the rotation vector in camera axes, rad², with focal length and distortion marginalised.
     rms_px : float
-        Root mean square of the residuals on one axis, freedom taken account of.
+        Root mean square of the residuals on one axis, corrected for the degrees of freedom.
     log_evidence : float
-        Of `log_evidence`, less the price of the choice of width.
+        Result of `log_evidence`, reduced for the selection of the width.
     """
 
     camera: Camera
@@ -90,21 +92,21 @@ def fit_camera(
     Parameters
     ----------
     camera, matrix
-        Where to start.
+        Initial values.
     directions : (M, 3)
         Guide stars.
     xy : (M, 2)
-        Their images.
+        Pixels of their images.
     with_k1 : bool
-        Whether to fit the radial distortion too; it is held near the expected one with σ = 0.5, which matters for few
-        stars only.
+        Whether to fit the radial distortion too; it has a Gaussian prior around the expected value with σ = 0.5, which
+        matters for few stars only.
     k1_expected : float
-        Zero, or what is known of the lens.
+        Zero, or the known value for the lens.
 
     Returns
     -------
-    camera, matrix, covariance (3, 3) of the rotation vector, rms of the residuals on one axis (px); the rms is inf
-    where no lens that is one to one over the image fits.
+    camera, matrix, covariance (3, 3) of the rotation vector, rms of the residuals on one axis, px; the rms is infinite
+    if no lens fits that is one to one over the image.
     """
     names = ("f", "k1") if with_k1 else ("f",)
     stars, normal = Matches(xy, directions, np.ones(len(xy))), np.eye(3 + len(names))
@@ -122,6 +124,7 @@ def fit_camera(
             return nothing
         if not np.isfinite(change).all():
             return nothing
+        # Long steps are clipped, so that a poor start does not leave the range in which the lens is invertible.
         change = np.clip(change, -0.3, 0.3)
         camera = change_lens(camera, dict(zip(names, change.tolist(), strict=False)))
         matrix = rotation_vector_to_matrix(change[-3:]) @ matrix
@@ -137,9 +140,9 @@ def fit_camera(
 
 
 def _sane(camera: Camera) -> bool:
-    """Whether the field is below 150° and the distortion one to one out to the corner, with something to spare.
+    """Whether the field is below 150° and the distortion is one to one up to the corner, with a margin.
 
-    r (1 + k1 r²) turns back at r² = −1/(3 k1), which images at k1 r_d² = −4/27 = −0.148.
+    r (1 + k1 r²) has its maximum at r² = −1/(3 k1), which corresponds to k1 r_d² = −4/27 = −0.148 in the image.
     """
     if camera.projection != "pinhole":
         return is_one_to_one(camera)
@@ -157,9 +160,10 @@ def weigh(
     anchors: int,
     excess: FloatArray,
 ) -> tuple[float, IntArray]:
-    """ln Λ of a camera and attitude (the best of `WIDTHS_PX`, the choice paid for), and the pairs it explains.
+    """ln Λ of a camera and attitude, and the pairs that it explains.
 
-    `excess` is that of `clustering_null`: crowded points agree by chance more easily.
+    It is the best over `WIDTHS_PX`, reduced for this selection. `excess` is that of `clustering_null`: crowded points
+    agree by chance more easily.
     """
     index, _, positions = guide.in_field(matrix, 2.0, camera)
     keep = slice(0, 2 * len(xy) + 10)
@@ -192,7 +196,7 @@ def grow(
     centre: FloatArray,
     first_gate: FloatArray,
 ) -> tuple[Camera, FloatArray, FloatArray, float, IntArray] | None:
-    """Match and refit from one pattern's surroundings outwards; None as soon as too few stars agree.
+    """Match and refit outwards from the surroundings of one pattern; None as soon as too few stars agree.
 
     Returns camera, matrix, covariance, rms and pairs.
     """
@@ -218,8 +222,11 @@ def grow(
             return None
         result = (camera, matrix, covariance, rms, pairs)
         residual = xy[pairs[:, 0]] - camera.project(guide.directions[pairs[:, 1]] @ matrix.T)
+        # 1.1774 σ is the median of a Rayleigh distribution, that of the length of a two-dimensional Gaussian error.
         robust = float(np.median(np.hypot(residual[:, 0], residual[:, 1]))) / 1.1774
         narrow = max(4.0 * robust, 1.0)
+        # In the first rounds the gate grows with the distance from the pattern, where scale and distortion are
+        # extrapolated.
         gate = np.minimum(gate, narrow + (0.004 * away if round_ < 2 else 0.0))
         if round_ >= 2:
             gate = np.full(len(xy), narrow)
@@ -229,23 +236,24 @@ def grow(
 def candidates(
     xy: FloatArray, camera: Camera, index: QuadIndex, low: float, high: float, widen: float = 1.0
 ) -> Iterator[tuple[Camera, IntArray, FloatArray, float]]:
-    """Cameras and attitudes that patterns of the brightest stars suggest, best agreement first within each star count.
+    """Cameras and attitudes suggested by patterns of the brightest stars, best agreement first for each number of
+    stars.
 
     Parameters
     ----------
     xy : (N, 2)
         Brightest first.
     camera : Camera
-        The assumed one; its parity is the one that is tried.
+        Assumed camera; only its parity is tried.
     index : QuadIndex
     low, high : float
-        Allowed range of true over assumed angle.
+        Allowed range of the ratio of the true to the assumed angle.
     widen : float
         Factor on the tolerance of the patterns' codes.
 
     Yields
     ------
-    camera of that focal length, the pattern (2, 4): observed and guide stars, its centre (2,) and extent in pixels.
+    Camera with that focal length, the pattern (2, 4) of observed and guide stars, its centre (2,) and extent in pixels.
     """
     vectors = camera.unproject(xy)
     usable = np.flatnonzero(np.isfinite(vectors).all(axis=1))  # within what the lens that is tried can show
@@ -274,25 +282,26 @@ def candidates(
 
 
 def attitude_of(camera: Camera, xy: FloatArray, directions: FloatArray) -> FloatArray:
-    """Rotation (3, 3) of a handful of stars."""
+    """Rotation (3, 3) from a few stars."""
     return np.asarray(fit_rotation(camera.unproject(xy), directions, np.ones(len(xy))))
 
 
 def without_rational(camera: Camera) -> Camera:
-    """The camera without the denominator of its distortion, as the fit has none."""
+    """The camera without the denominator of its distortion model, which the fit does not use."""
     if camera.projection != "pinhole":
         return replace(camera, projection="fisheye")
     return replace(camera, distortion=replace(camera.distortion, k4=0.0, k5=0.0, k6=0.0))
 
 
 def field_deg(camera: Camera) -> float:
-    """Angle across the width, edge to edge, distortion included."""
+    """Angle, degrees, across the width of the image from edge to edge, including distortion."""
     left, right = camera.unproject([[-0.5, camera.cy], [camera.width - 0.5, camera.cy]])
     return math.degrees(math.acos(min(1.0, float(left @ right))))
 
 
 def depth(stars: int, width: int, height: int, fov_deg: float) -> int:
-    """Brightest stars of the sky that reach three times as deep as the image's stars, where they are evenly spread."""
+    """Number of the sky's brightest stars that is three times the image's star density, for evenly distributed
+    stars."""
     side = math.radians(fov_deg)
     field = side * side * min(height / width, 1.0)
     return max(500, int(3.0 * (stars + 5) * 4.0 * math.pi / field))
@@ -300,9 +309,10 @@ def depth(stars: int, width: int, height: int, fov_deg: float) -> int:
 
 # ---------------------------------------------------------------------- evidence
 def magnitude_density(difference: FloatArray) -> FloatArray:
-    """Density (…,) per magnitude of observed minus catalogued.
+    """Density (…,) per magnitude of the observed minus the catalogued magnitude.
 
-    A core of 0.3 mag and wide wings (colour, variability, saturation, blends): one discordant star costs little.
+    A core of 0.3 mag and wide wings (colour, variability, saturation, blends), so that one discordant star has little
+    effect.
     """
     core = np.exp(-0.5 * (difference / _CORE_MAG) ** 2) / (_CORE_MAG * math.sqrt(2.0 * math.pi))
     wide = np.exp(-0.5 * (difference / _WIDE_MAG) ** 2) / (_WIDE_MAG * math.sqrt(2.0 * math.pi))
@@ -310,20 +320,21 @@ def magnitude_density(difference: FloatArray) -> FloatArray:
 
 
 def magnitude_ratio(magnitude: FloatArray, matched_v: FloatArray, field_v: FloatArray) -> FloatArray:
-    """Likelihood ratio (N,) of the observed magnitudes: the matched guide star against any of the field.
+    """Likelihood ratio (N,) of the observed magnitudes: for the matched guide star to any star of the field.
 
     Parameters
     ----------
     magnitude : (N,)
-        Observed, on the instrument's own zero point.
+        Observed magnitudes with the instrument's own zero point.
     matched_v : (N,)
-        V of the matched guide star; NaN where there is none.
+        V magnitude of the matched guide star; NaN if there is none.
     field_v : (K,)
-        V of the guide stars of the field.
+        V magnitudes of the guide stars of the field.
     """
     ratio = np.ones(len(magnitude))
     matched = np.isfinite(matched_v)
-    if matched.sum() < 3:  # one star sets the zero point, and two say too little
+    # One star determines the zero point, and two provide too little information.
+    if matched.sum() < 3:
         return ratio
     calibrated = magnitude - np.median(magnitude[matched] - matched_v[matched])
     likely = magnitude_density(calibrated[matched] - matched_v[matched])
@@ -340,27 +351,28 @@ def log_evidence(
     ratio: FloatArray,
     anchors: int = 2,
 ) -> float:
-    """ln Λ of an attitude, without the stars that made it.
+    """ln Λ of an attitude, excluding the stars that determined it.
 
     Parameters
     ----------
     distance : (N,)
-        From each observed star to its guide star, any unit; inf where it has none.
+        Distance of each observed star from its guide star, in any unit; inf if it has none.
     sigma : (N,)
-        Standard error on one axis, same unit.
+        Standard error on one axis, in the same unit.
     area : float
-        Of the image, same unit squared.
+        Area of the image, in the same unit squared.
     guides : int
-        Guide stars of the field, K.
+        Number of guide stars of the field, K.
     ratio : (N,)
-        Factor from the magnitudes.
+        Likelihood ratio of the magnitudes.
     anchors : int
-        Stars that determined the attitude; the most telling ones are left out, so that none is counted twice.
+        Number of stars that determined the attitude; those with the largest terms are excluded, so that none is counted
+        twice.
 
     Returns
     -------
     float
-        Larger of ln Λ over `DISTRACTORS`, less ln(their number).
+        Largest ln Λ over `DISTRACTORS`, less ln(their number).
     """
     if guides == 0:
         return -math.inf

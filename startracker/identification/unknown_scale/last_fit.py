@@ -1,4 +1,4 @@
-"""The last fit of a field with unknown focal length: all stars, weighted, and the significant lens parameters."""
+"""Final fit of a field with unknown focal length: all stars, weighted, and the significant lens parameters."""
 
 from __future__ import annotations
 
@@ -18,39 +18,40 @@ from startracker.geometry.lens_fit import Matches, fit_jointly, noise_floor, sig
 from startracker.identification.unknown_scale.free_scale import FEWEST_FOR_K1, FreeFit
 
 _REJECT_SIGMAS = 3.7
-"""A residual's length beyond this many standard errors an axis has probability 1e-3 (Rayleigh)."""
-_STATED_PX = 0.15
-"""Error of centroids given without one; the residuals determine the remainder."""
+"""Length of a residual, in standard errors on one axis, that is exceeded with probability 1e-3 (Rayleigh)."""
+STATED_PX = 0.15
+"""Error, px, of centroids given without one; the rest is determined by the residuals."""
 _FEWEST = 12
 _FITTED = 4
-"""Parameters of a fit of fewer stars: rotation and focal length; and k1 from ten stars on."""
+"""Number of parameters of a fit of fewer stars: rotation and focal length; and k1 from ten stars on."""
 _LENS = ("f", "k1", "k2", "k3", "p1", "p2")
-"""No principal point: in one field it is nearly equivalent to a rotation of the camera, and with a distorting lens a
-shift by c has the form of p1 and p2 to first order, −k1 (r² c + 2 x (x·c)), so that these are fitted instead."""
+"""Lens parameters of the fit. The principal point is not fitted: in one field it is nearly equivalent to a rotation of
+the camera, and with a distorting lens a shift by c has the form of p1 and p2 to first order, −k1 (r² c + 2 x (x·c)), so
+these are fitted instead."""
 
 
 def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guide: GuideDatabase) -> FreeFit:
-    """Fit with every star of the field, weighed by its own error, and every lens parameter that is significant; and
-    the covariance for errors that are known from the residuals alone (`startracker.estimation.few_stars`).
+    """Fit every star of the field, weighted by its own error, with all significant lens parameters.
 
-    The same rule of rejection as with a known camera (`startracker.estimation.refine`); what was accepted stays where
-    this leaves much fewer stars.
+    The covariance accounts for errors that are known from the residuals only (`startracker.estimation.few_stars`).
+    Stars are rejected by the same rule as with a known camera (`startracker.estimation.refine`); the given fit is
+    returned if far fewer stars remain.
 
     Parameters
     ----------
     fit : FreeFit
-        Accepted.
+        The accepted fit.
     xy : (N, 2)
         Centroids, brightest first.
     variance_px2 : (N,), optional
-        On one axis; None: all alike.
+        Variance on one axis; None: equal for all.
     guide : GuideDatabase
-        Stars as deep as the image; the first of those that the fit's pairs name.
+        Guide stars as deep as the image; the first ones are those to which the fit's pairs refer.
     """
     if len(fit.pairs) < _FEWEST:
         fitted = _FITTED + (len(fit.pairs) >= FEWEST_FOR_K1)
         return replace(fit, covariance=few_stars_factor(2 * len(fit.pairs) - fitted) * fit.covariance)
-    own = np.full(len(xy), _STATED_PX**2) if variance_px2 is None else variance_px2
+    own = np.full(len(xy), STATED_PX**2) if variance_px2 is None else variance_px2
     off = xy[fit.pairs[:, 0]] - fit.camera.project(guide.directions[fit.pairs[:, 1]] @ fit.matrix.T)
     pairs, floor = fit.pairs, noise_floor(off, own[fit.pairs[:, 0]])
     camera, matrix = fit.camera, fit.matrix
@@ -60,6 +61,7 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
         sigma = np.sqrt(own + floor**2)
         matches = Matches(xy[pairs[:, 0]], guide.directions[pairs[:, 1]], sigma[pairs[:, 0]])
         if round_ == 0:
+            # The first round fits all parameters, and those that are not significant are then dropped.
             full = fit_jointly(camera, [matrix], [matches], names, enough=1e-3)
             if full is None:
                 return best
@@ -87,10 +89,10 @@ def last_fit(fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guid
 def estimated(
     fit: FreeFit, xy: FloatArray, variance_px2: FloatArray | None, guide: GuideDatabase, estimator: Estimator
 ) -> FreeFit:
-    """The fit with the attitude of an estimator for its stars, seen through the fitted lens.
+    """The fit with the attitude replaced by that of an estimator, for the same stars and the fitted lens.
 
-    The covariance is the estimator's, with what the unknown lens adds to that of the fit. Other parameters and errors
-    are those of `last_fit`; an error of the estimator (`InputError`) is not caught.
+    The covariance is the estimator's, plus the contribution of the unknown lens to that of the fit. Other parameters
+    and errors are those of `last_fit`; an error of the estimator (`InputError`) is not caught.
     """
     seen, reference = xy[fit.pairs[:, 0]], guide.directions[fit.pairs[:, 1]]
     if variance_px2 is None:
@@ -100,6 +102,8 @@ def estimated(
         sigma_px = np.sqrt(own + noise_floor(seen - fit.camera.project(reference @ fit.matrix.T), own) ** 2)
     directions, sigma = fit.camera.unproject(seen), sigma_px * fit.camera.pixel_rad
     estimate = estimator(directions, reference, sigma)
+    # The contribution of the lens is a difference of two covariances; negative eigenvalues, due to rounding, are set to
+    # 0.
     value, axis = np.linalg.eigh(fit.covariance - attitude_covariance(directions, sigma))
     of_lens = (axis * np.maximum(value, 0.0)) @ axis.T
     return replace(fit, matrix=estimate.matrix, covariance=estimate.covariance + of_lens)

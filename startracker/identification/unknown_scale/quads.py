@@ -1,11 +1,11 @@
 """Patterns of four stars whose shape does not depend on scale, and their index over the whole sky.
 
-The two stars farthest apart, A and B, define a frame with A = (0, 0) and B = (1, 1); the positions of the other two,
-C and D, are the pattern's code (four numbers). The order is fixed by x_C ≤ x_D and x_C + x_D ≤ 1. Shift, rotation and
-scale do not change the code; a mirrored image has the codes of the mirrored pattern.
+The two stars farthest apart, A and B, define a frame with A = (0, 0) and B = (1, 1); the positions of the other two, C
+and D, are the pattern's code (four numbers). The order of the stars is fixed by x_C ≤ x_D and x_C + x_D ≤ 1. Shift,
+rotation and scale do not change the code; a mirrored image has the codes of the mirrored pattern.
 
-Patterns are made of neighbours among stars picked evenly over the sky, on levels a factor √2 apart in size, so that an
-image of any field finds its brightest stars on one of them.
+Patterns consist of neighbours among stars selected evenly over the sky, on levels that differ in size by a factor √2,
+so that the brightest stars of an image of any field occur on one of them.
 
 Source: Lang, Hogg, Mierle, Blanton & Roweis 2010, AJ 139, 1782, sections 2.1 and 2.2.
 """
@@ -35,7 +35,7 @@ STARS_IN_CIRCLE = 10
 LEVEL_RADII_DEG = tuple(1.8 * math.sqrt(2.0) ** k for k in range(10))
 _TRIPLES = np.array(list(combinations(range(NEIGHBOURS), 3)))
 _EDGES = np.array(list(combinations(range(4), 2)))
-"""Of a pattern; the opposite edge of the first is the last, and so on."""
+"""Edges of a pattern; the edge opposite to the first is the last, and so on."""
 
 
 def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
@@ -44,7 +44,7 @@ def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArra
     Parameters
     ----------
     points : (Q, 4, 2)
-        The stars of each pattern, in a plane of its own (their scale does not matter).
+        The stars of each pattern in a plane, whose scale does not matter.
     quads : (Q, 4)
         Their indices.
 
@@ -58,7 +58,7 @@ def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArra
     longest = square.argmax(axis=1)
     order = np.concatenate([_EDGES[longest], _EDGES[::-1][longest]], axis=1)
     corners = np.take_along_axis(points, order[:, :, None], axis=1)
-    # z → z · (1 + i) / u takes A to 0 and B to 1 + i
+    # As complex numbers, z → z · (1 + i) / u with u = B − A maps A to 0 and B to 1 + i.
     ux, uy = (corners[:, 1] - corners[:, 0]).T[:, :, None]
     vx, vy = np.moveaxis(corners[:, 2:] - corners[:, :1], 2, 0)
     u2 = np.take_along_axis(square, longest[:, None], axis=1)
@@ -73,7 +73,7 @@ def quad_codes(points: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArra
 
 
 def neighbour_quads(vectors: FloatArray, index: IntArray) -> IntArray:
-    """Patterns (Q, 4) of each star `index` with three of its six nearest among them; each set once, sorted."""
+    """Patterns (Q, 4) of each star of `index` with three of its six nearest neighbours; each set once, sorted."""
     count = min(NEIGHBOURS + 1, len(index))
     if count < 4:
         return np.empty((0, 4), dtype=np.int64)
@@ -89,15 +89,15 @@ def neighbour_quads(vectors: FloatArray, index: IntArray) -> IntArray:
 
 
 def sky_codes(vectors: FloatArray, quads: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
-    """As `quad_codes`, of unit vectors (N, 3): each pattern in its own tangent plane, seen from inside the sphere.
+    """`quad_codes` of unit vectors (N, 3): each pattern in its own tangent plane, as seen from inside the sphere.
 
-    The plane touches the sphere at the pattern's middle, in which images are projected likewise, so that patterns far
-    from the boresight of a wide field keep their shape. The distance AB is an angle (rad).
+    The plane is tangent to the sphere at the pattern's centre. Images are projected in the same way, so that patterns
+    far from the boresight of a wide field keep their shape. The distance AB is an angle, rad.
     """
     stars = vectors[quads]  # (Q, 4, 3)
     centre = stars.sum(axis=1)
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    # any axis across the line of sight, as codes do not depend on rotation
+    # Any axis perpendicular to the line of sight will do, because codes do not depend on rotation.
     helper = np.where(np.abs(centre[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     x_axis = np.cross(helper, centre)
     x_axis /= np.linalg.norm(x_axis, axis=1, keepdims=True)
@@ -119,7 +119,7 @@ class QuadIndex:
     quads : int32 (Q, 4)
         Stars A, B, C, D.
     baseline_rad : float32 (Q,)
-        Angle AB.
+        Angle AB, rad.
     """
 
     codes: NDArray[np.float32]
@@ -132,7 +132,7 @@ class QuadIndex:
 
     @classmethod
     def of(cls, codes: NDArray[np.float32], quads: NDArray[np.int32], baseline_rad: NDArray[np.float32]) -> QuadIndex:
-        """Index of given arrays."""
+        """Index of the given arrays."""
         return cls(codes, quads, baseline_rad, cKDTree(codes, leafsize=32, balanced_tree=False, compact_nodes=False))
 
     def candidates(
@@ -142,7 +142,7 @@ class QuadIndex:
 
         Returns
         -------
-        number of the query, number of the pattern, distance of the codes; nearest first.
+        index of the query, index of the pattern, distance of the codes; nearest first.
         """
         near = self.tree.query_ball_point(codes, tolerance)
         lengths = np.array([len(rows) for rows in near], dtype=np.int64)
@@ -165,7 +165,7 @@ def build_quads(
     directions : (G, 3)
         Unit vectors, brightest first.
     radii_deg : tuple of float
-        A level each: stars with fewer than ten brighter ones within this radius.
+        One level for each: stars with fewer than ten brighter ones within this radius.
     """
     tables = []
     for radius_deg in radii_deg:
@@ -181,14 +181,14 @@ def build_quads(
 
 
 _CODE_LOW, _CODE_STEP = -0.5, 2.0**-15
-"""C and D are no farther from A and B than these from each other, √2: codes lie within (1 ± √3)/2 = -0.37 to 1.37, and
-0.05 beyond where the plane stretches the sky."""
+"""C and D are no farther from A and B than A and B from each other, √2, so that codes lie within (1 ± √3)/2 = −0.37 to
+1.37, and up to 0.05 beyond, because the plane stretches the sky."""
 
 
 def pack_quads(codes: NDArray[np.float32], quads: NDArray[np.int32]) -> dict[str, NDArray[Any]]:
-    """Arrays of half the size, for a file: codes to 1.5e-5 (a four-hundredth of the tolerance), stars in 18 bits.
+    """Arrays of half the size, for a file: codes to 1.5e-5 (1/400 of the tolerance), stars in 18 bits.
 
-    The angles AB are left out, as they follow from the stars' positions.
+    The angles AB are omitted, because they follow from the stars' positions.
     """
     steps = np.round((codes - _CODE_LOW) / _CODE_STEP).astype(np.uint16)
     high = np.zeros(len(quads), dtype=np.uint8)
@@ -198,7 +198,7 @@ def pack_quads(codes: NDArray[np.float32], quads: NDArray[np.int32]) -> dict[str
 
 
 def unpack_quads(stored: Mapping[str, NDArray[Any]], directions: FloatArray) -> QuadIndex:
-    """Index of packed arrays and the stars (G, 3) they are of."""
+    """Index of packed arrays whose stars have the directions (G, 3)."""
     codes = (stored["codes"] * np.float32(_CODE_STEP) + np.float32(_CODE_LOW)).astype(np.float32)
     high = stored["high"].astype(np.int32)
     quads = np.stack([stored["low"][:, k].astype(np.int32) | (high >> 2 * k & 3) << 16 for k in range(4)], axis=1)
@@ -215,7 +215,7 @@ _CACHE_KEY = "quads-2"
 
 @functools.lru_cache(maxsize=16)
 def brightest_stars(catalog: str | StarCatalog, depth: int) -> GuideDatabase:
-    """The `depth` brightest of them."""
+    """The `depth` brightest of `all_stars`."""
     return all_stars(catalog).brightest(depth)
 
 
@@ -229,9 +229,10 @@ def all_stars(catalog: str | StarCatalog) -> GuideDatabase:
 
 @functools.cache
 def quad_index(catalog: str | StarCatalog) -> QuadIndex:
-    """Patterns of the whole sky; made in about two seconds, then kept in the user's cache folder (24 MB)."""
+    """Patterns of the whole sky; computed in about two seconds, then cached in the user's folder (24 MB)."""
     stars = all_stars(catalog)
-    # the stars' number and positions are part of the name: another edition of the catalogue has another index
+    # The name includes a checksum of the stars' positions, because another edition of the catalogue needs another
+    # index.
     mark = zlib.crc32(np.ascontiguousarray(stars.directions).tobytes())
     key = f"{_CACHE_KEY}-{mark:08x}"
     stored = cache.load_arrays(key)

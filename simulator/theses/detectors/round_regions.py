@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.theses.detectors.region_growing import grow_objects
 from startracker.detection.background import Background, as_image
-from startracker.detection.region_growing import grow_objects
 from startracker.detection.sources import Sources, is_saturated
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
@@ -32,10 +32,10 @@ def find_round_regions(
     """Star candidates by size and roundness alone: 7 to 36 pixels, σx²/σy² from 0.7 to 1.3 (Greyling 1995, 4.2).
 
     Regions grow as in `grow_regions`, from every third pixel over the four neighbours above the threshold:
-    `threshold_dn` of the raw image, or, without one, background + `threshold_sigma` × noise. A region
-    of `min_pixels` to `max_pixels` whose second moments along x and y (eqs. 4.8, 4.9, weighted with the pixel's excess
-    over the threshold's background) satisfy |σx²/σy² − 1| < `max_axis_ratio` − 1 is a star. The `max_stars` brightest
-    are kept. No matched filter, no isolation test, no test for hot pixels, no streaks: those settings have no effect.
+    `threshold_dn` of the raw image, or, if that is not set, background + `threshold_sigma` × noise. A region of
+    `min_pixels` to `max_pixels` is a star if its second moments along x and y (eqs. 4.8, 4.9, weighted with the signal
+    above the background) satisfy |σx²/σy² − 1| < `max_axis_ratio` − 1. The `max_stars` brightest are returned. There is
+    no matched filter and no test for isolation, hot pixels or streaks: those settings have no effect.
 
     Parameters
     ----------
@@ -104,7 +104,8 @@ find_first_regions = partial(find_round_regions, stop=True)
 
 
 def _outcomes(table: Sources, settings: DetectionSettings) -> NDArray[np.int64]:
-    """What each region (N,) is: by its size, then its axis ratio (eqs. 4.8 and 4.9)."""
+    """Outcome (N,) for each region: tested by its size, then by its axis ratio (eqs. 4.8 and 4.9)."""
+    # A region without light has moments of NaN, fails the comparison, and so counts as not round.
     flux = np.where(table["flux"] > 0.0, table["flux"], np.nan)
     xx = table["sum_xx"] / flux - (table["sum_x"] / flux) ** 2
     yy = table["sum_yy"] / flux - (table["sum_y"] / flux) ** 2

@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from startracker._compiled import kernel, kernel_part
 from startracker.core import IntArray
 from startracker.detection.background import Background, as_image
 from startracker.detection.classify import select_spots
@@ -18,15 +19,14 @@ from startracker.detection.sources import SOURCE, Sources, add_pixel, find_runs,
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.kernels import kernel, kernel_part
 from startracker.settings import DetectionSettings
 
 _LEAST_RADIUS_PX = 2.0
 _LARGEST_RADIUS_PX = 64.0
 _LARGE_QUANTILE = 0.9
 _GROWTH_PX = 1.0
-"""Growth of τ with the square root of the pixels of a cluster: once half of a round star is met, its farthest pixel is
-at most 0.9 of that from the centre of the part met."""
+"""Growth of τ with the square root of a cluster's pixels, px. When half of a round star has been read, the pixel
+farthest from the centre of that half is at most 0.9 times that root away."""
 
 FloatImage = NDArray[np.float32]
 
@@ -37,15 +37,15 @@ def find_clusters(
     settings: DetectionSettings,
     saturation_dn: float | None = None,
 ) -> Spots:
-    """Star candidates by clustering: every bright pixel joins the nearest cluster within τ, or founds one.
+    """Star candidates by clustering: each bright pixel joins the nearest cluster within τ, or starts a new one.
 
-    Pixels above background + `threshold_sigma` × noise, or above `threshold_dn` as in Yee 1999, are met once, in
-    reading order. One that lies within τ of the running centre of a cluster joins the nearest such, whose centre moves;
-    else it becomes a new cluster (Yee 1999, section 2.2). Two things that its section 5.2 asks for are added: τ adapts,
-    to the frame (`adaptive_radius`) in place of trial and error and, growing as √n with the pixels that a cluster has,
-    to each star; and clusters whose centres end up within τ of one another, as one star met on two sides does, are
-    merged. A `cluster_radius_px` that is given is used unchanged. Those of fewer than `min_pixels` are dropped (Yee
-    1999: 10).
+    Pixels above background + `threshold_sigma` × noise, or above `threshold_dn` as in Yee 1999, are read once, in
+    reading order. A pixel within τ of the running centre of a cluster joins the nearest such cluster and moves its
+    centre; otherwise it starts a new cluster (Yee 1999, section 2.2). Two improvements proposed in section 5.2 of that
+    work are added. First, τ is adapted to the frame (`adaptive_radius`) instead of by trial and error, and to each
+    star, by growing as √n with the pixels of a cluster. Second, clusters whose centres end up within τ of one another,
+    as happens when a star is entered from two sides, are merged. A given `cluster_radius_px` is used unchanged.
+    Clusters of fewer than `min_pixels` are dropped (Yee 1999: 10).
 
     Parameters
     ----------
@@ -88,16 +88,17 @@ def find_clusters(
 
 
 def adaptive_radius(runs: IntArray, max_pixels: int) -> float:
-    """τ, pixels: what holds nine in ten of the frame's bright spots whole, at least 2 px.
+    """Radius τ, px, that keeps nine in ten of the frame's bright spots in one piece; at least 2 px.
 
-    A spot is a set of connected pixels, at most `max_pixels`; its larger side (columns or rows) is as far as a pixel
-    can be from the running centre of its cluster.
+    A spot is a set of at most `max_pixels` connected pixels; none of its pixels can be farther from the running centre
+    of its cluster than the larger side of the spot (columns or rows).
     """
     number, count = join_runs(runs)
     if count == 0:
         return _LEAST_RADIUS_PX
     size = np.bincount(number, weights=runs[:, 2] - runs[:, 1], minlength=count)
     first, last = np.full((2, count), np.iinfo(np.int64).max), np.full((2, count), -1)
+    # Columns first, as runs (first, last column), then rows, of which each run has one.
     for axis, (low, high) in enumerate(((runs[:, 1], runs[:, 2] - 1), (runs[:, 0], runs[:, 0]))):
         np.minimum.at(first[axis], number, low)
         np.maximum.at(last[axis], number, high)
@@ -113,9 +114,9 @@ def cluster_pixels(
 ) -> Sources:
     """Table of clusters (see `select_spots`) of the pixels in runs.
 
-    The centre that pixels are compared with is the mean of the cluster's pixels, each counting alike. A cluster of n
-    pixels reaches as far as the larger of τ and `growth` × √n, 64 px at most. A grid of cells of side τ over the
-    columns, of the rows still within reach, keeps the search short.
+    Pixels are compared with the unweighted mean position of the cluster's pixels. A cluster of n pixels extends as far
+    as the larger of τ and `growth` × √n, at most 64 px. To keep the search short, clusters are chained in cells of τ
+    columns, and are dropped from their chain when the current row is out of their reach.
     """
     height, width = image.shape
     table = np.zeros(64, SOURCE)
@@ -173,7 +174,8 @@ def cluster_pixels(
 
 @kernel_part
 def _move_to_cell(moved: int, cluster: int, head: IntArray, following: IntArray, cell_of: IntArray) -> None:
-    """Take a cluster out of the chain of its cell, if it has one, and put it first into that of the cell `moved`."""
+    """Remove a cluster from the chain of its cell, if it is in one, and insert it first into the chain of cell
+    `moved`."""
     if cell_of[cluster] >= 0:
         previous, other = -1, head[cell_of[cluster]]
         while other != cluster:
@@ -188,12 +190,13 @@ def _move_to_cell(moved: int, cluster: int, head: IntArray, following: IntArray,
 
 
 def merge_clusters(table: Sources, tau: float, growth: float = 0.0) -> Sources:
-    """Table in which clusters whose centres are within the reach of either are one, the fainter added to the brighter.
+    """Merge clusters whose centres lie within the reach of either of them.
 
-    A cluster of n pixels reaches as far as the larger of τ and `growth` × √n, 64 px at most.
+    A cluster of n pixels extends as far as the larger of τ and `growth` × √n, at most 64 px.
     """
     if len(table) < 2:
         return table
+    # A cluster without positive flux has no centre; an infinite signal puts it at the origin.
     signal = np.where(table["flux"] > 0, table["flux"], np.inf)
     centre = np.column_stack([table["sum_x"], table["sum_y"]]) / signal[:, None]
     reach = np.maximum(tau, np.minimum(growth * np.sqrt(table["pixels"]), _LARGEST_RADIUS_PX))
@@ -206,8 +209,8 @@ def merge_clusters(table: Sources, tau: float, growth: float = 0.0) -> Sources:
     count, label = connected_components(link, directed=False)
     merged = np.zeros(count, SOURCE)
     for column in ("pixels", "flux", "saturated", "edge", "sum_x", "sum_y", "sum_xx", "sum_yy", "sum_xy"):
-        np.add.at(merged[column], label, table[column])  # of flags: whether any is set
-    # in the order of rising peaks the highest writes last; of equal ones the first in reading order
+        np.add.at(merged[column], label, table[column])  # for flags, this is a logical or
+    # In ascending order of peaks the highest is written last; of equal ones, the first in reading order.
     order = np.lexsort((-table["x_peak"], -table["y_peak"], table["peak"]))
     for column in ("x_peak", "y_peak", "peak", "peak_residual"):
         merged[column][label[order]] = table[column][order]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker._compiled import kernel
 from startracker.detection.background import Background, as_image
 from startracker.detection.classify import select_spots
 from startracker.detection.forms import brightest_first
@@ -12,7 +13,6 @@ from startracker.detection.sources import SOURCE, Sources, add_pixel
 from startracker.detection.spots import Spots
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.kernels import kernel
 from startracker.settings import DetectionSettings
 
 FloatImage = NDArray[np.float32]
@@ -26,14 +26,14 @@ def grow_regions(
 ) -> Spots:
     """Star candidates by growing regions from every third pixel.
 
-    The image is searched left to right, top to bottom on a pattern that skips `settings.search_step_px` columns and
-    rows, every other row moved by one pixel (Greyling 1995, Fig. 4.6: about a ninth of the pixels). From a pixel above
-    background + `threshold_sigma` × noise the object grows to its four neighbours while they are above it, and is
-    erased as it is collected, so that it is met once. Objects outside `min_pixels` to `max_pixels` (Greyling: 7 to
-    36), and streaks, are cleared but not kept; so the Moon goes.
+    The image is searched from left to right and top to bottom on a pattern that skips `settings.search_step_px` columns
+    and rows; every other row is shifted by one pixel (Greyling 1995, Fig. 4.6: about a ninth of the pixels). From a
+    pixel above background + `threshold_sigma` × noise the object grows to its four neighbours while they are above it;
+    its pixels are erased as they are collected, so that each object is found once. Objects outside `min_pixels` to
+    `max_pixels` (Greyling: 7 to 36) and streaks are erased but not returned, which removes the Moon.
 
     Greyling's `grow.m` stops at the eighth star found, in reading order; here all are collected and the brightest
-    `max_stars` kept. An object narrower than the step can slip through the pattern.
+    `max_stars` returned. An object narrower than the step may fall between the pixels of the pattern.
 
     Parameters
     ----------
@@ -66,9 +66,9 @@ def grow_regions(
 def grow_objects(
     image: FloatImage, level: FloatImage, limit: FloatImage, step: int, saturation: float
 ) -> tuple[Sources, int]:
-    """Sources met on the search pattern, in that order, and the number of pixels that it has.
+    """Sources found on the search pattern, in that order, and the number of pixels of the pattern.
 
-    The recursion of `grow.m` is a stack here: an object may be as large as the image.
+    The recursion of `grow.m` is replaced by a stack, because an object may be as large as the image.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def grow_objects(
     """
     height, width = image.shape
     table, found, visited = np.zeros(64, SOURCE), 0, 0
-    # erased at once: what belongs to no object
+    # Pixels that belong to no object count as erased from the start.
     erased = ~((image > limit) & (image < np.inf))
     stack = np.empty(256, np.int64)
     for y0 in range(step - 1, height - step + 1, step):
@@ -103,6 +103,7 @@ def grow_objects(
                 add_pixel(row, x, y, image[y, x], level[y, x], saturation)
                 if x == 0 or y == 0 or x == width - 1 or y == height - 1:
                     row["edge"] = True
+                # Four neighbours at most are added per pixel.
                 if depth + 4 > len(stack):
                     stack = np.concatenate((stack, np.empty_like(stack)))
                 for direction in range(4):

@@ -16,7 +16,7 @@ Page = TypeVar("Page")
 
 
 def drawn_apart(draw: Callable[[Content], Page], content: Content) -> Page:
-    """Result of `draw` for its content, such as a report, computed in a separate process.
+    """Result of `draw`, such as `simulator.study.pages.html.html_of`, for its content, computed in a separate process.
 
     Raises
     ------
@@ -31,11 +31,11 @@ def in_a_process(given: bytes) -> bytes:
     """What `answer` gives, computed in a process of its own; errors as from `drawn_apart`."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     # -P: a folder of results may have the name of a module, and is not to be imported
-    command = [sys.executable, "-P", "-m", "simulator.study.report.drawing"]
+    command = [sys.executable, "-P", "-m", "simulator.study.pages.drawing"]
     done = subprocess.run(command, input=given, capture_output=True, env=environment, check=False)
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit status {done.returncode}"]
-        raise BoresightError(f"the report could not be drawn: {lines[-1]}")
+        raise BoresightError(f"the page could not be drawn: {lines[-1]}")
     return done.stdout
 
 

@@ -1,32 +1,15 @@
-"""Self-contained HTML pages from the templates of the studies, and their common parts."""
+"""Contents that the pages of several studies share."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement
-from simulator.study.style import Panel, inline_svg, style_variables
-
-_FOLDER = Path(__file__).parent
-
-TONES = {MET: "good", NOT_MET: "bad", UNDECIDED: "open"}
-"""Style of each verdict."""
+from simulator.study.pages.page import Table
+from simulator.study.specification.verdicts import Judgement
 
 DIGEST_DIGITS = 12
 """Number of hexadecimal digits of a digest that pages show."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Headings and rows of text; columns in `words` are text, aligned to the left."""
-
-    headings: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
-    words: tuple[int, ...] = ()
-    note: str = ""
 
 
 def verdict_table(judgement: Judgement) -> Table:
@@ -52,14 +35,6 @@ def verdict_table(judgement: Judgement) -> Table:
     )
 
 
-def drawn(panel: Panel, key: str, anchor: str = "") -> dict[str, Any]:
-    """A panel for the macro ``figure`` of the templates: SVG with the prefix `key` of its ids, and its anchor."""
-    from markupsafe import Markup
-
-    phone = Markup(inline_svg(panel, f"{key}n", narrow=True)) if panel.wide else ""
-    return {"panel": panel, "svg": Markup(inline_svg(panel, key)), "phone": phone, "anchor": anchor}
-
-
 def provenance(results: Mapping[str, Any], digest: str) -> str:
     """Origin of results: scenario and its digest, seed, version and date.
 
@@ -77,15 +52,6 @@ def provenance(results: Mapping[str, Any], digest: str) -> str:
     return ", ".join(parts)
 
 
-def render_page(template: str, **values: Any) -> str:
-    """Rendered template, given by its path from this folder; undefined values are errors."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(_FOLDER),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(colours=style_variables(), **values)
+def unphysical_notes(reasons: Iterable[str]) -> list[str]:
+    """Notes on values that a scenario permits although no camera has them."""
+    return [f"Unphysical value permitted by the scenario: {reason}" for reason in reasons]
