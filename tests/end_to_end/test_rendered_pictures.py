@@ -5,10 +5,11 @@ import pytest
 
 from simulator.scenario import Scenario
 from simulator.study.sequence.run import run_sequence
+from simulator.theses.detectors.clustering import find_clusters
 from simulator.theses.yee1999 import rendered, rendered_flight, threshold_sweep
 from simulator.theses.yee1999.catalogue import printed_rows
 from startracker.catalog import load_catalog
-from startracker.detection import estimate, find_clusters
+from startracker.detection import estimate
 from startracker.settings import DetectionSettings
 
 pytestmark = pytest.mark.system

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from startracker.estimation.association import joined
+from startracker.estimation.association import merge_pairs
 from startracker.identification.acceptance import (
     SURE_BEYOND,
     WITHIN_PRIOR_BEYOND,
@@ -55,6 +55,6 @@ def test_pairs_that_are_not_used_are_not_flagged():
     """Of three used pairs and three identified ones, one of which shares a star, the other two are not used."""
     used = np.array([[4, 10], [0, 11], [2, 12]])
     identified = np.array([[1, 20], [2, 21], [5, 22]])
-    pairs, flags = joined(used, identified)
+    pairs, flags = merge_pairs(used, identified)
     assert pairs.tolist() == [[0, 11], [1, 20], [2, 12], [4, 10], [5, 22]]
     assert flags.tolist() == [True, False, True, True, False]

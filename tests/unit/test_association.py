@@ -7,7 +7,7 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker
 from startracker.catalog.guide import field_cosine
-from startracker.estimation.association import MARGIN_PX, Field, matched_again, named
+from startracker.estimation.association import MARGIN_PX, Field, matched_again, paired
 
 CAMERA = Camera.from_fov(12.0, 512, 512)
 ATTITUDE = Attitude.from_radec_roll(83.0, -1.0, 20.0)
@@ -28,7 +28,7 @@ def unique_pairs(distance, gate):
 
 
 def plain_names(xy, stated, positions, factor, systematic, near_px):
-    """The rule of `named`, written out."""
+    """The rule of `paired`, written out."""
     away = xy[:, None] - positions[None]
     distance = np.hypot(*away.transpose(2, 0, 1))
     covariance = factor * stated + systematic * np.eye(2)
@@ -69,7 +69,7 @@ def test_names_duplicates_and_stars_that_do_not_fit(seed, trailed):
     )
     index = rng.permutation(100)[:25]
     for factor, systematic, near_px in ((1.0, 0.0, 2.5), (2.0, 0.04, 1.0)):
-        pairs, fits, merged = named(xy, stated, index, positions, factor, systematic, near_px)
+        pairs, fits, merged = paired(xy, stated, index, positions, factor, systematic, near_px)
         expected = plain_names(xy, stated, positions, factor, systematic, near_px)
         assert pairs[:, 0].tolist() == expected[0][:, 0].tolist()
         assert pairs[:, 1].tolist() == index[expected[0][:, 1]].tolist()

@@ -13,11 +13,11 @@ from startracker.geometry.linalg import (
     inverse,
     log_determinant,
     rotate_back,
+    rotated,
     solve,
     substitute,
     transform,
     triple_product,
-    turned,
 )
 
 
@@ -88,4 +88,4 @@ def test_three_vectors():
 def test_rotations_by_a_vector_are_rodrigues(vector):
     matrix = np.random.default_rng(3).normal(size=(3, 3))
     expected = Rotation.from_rotvec(vector).as_matrix() @ matrix
-    np.testing.assert_allclose(turned(matrix, *vector), expected, atol=1e-14)
+    np.testing.assert_allclose(rotated(matrix, *vector), expected, atol=1e-14)

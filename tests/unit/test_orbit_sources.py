@@ -209,7 +209,7 @@ def test_missing_and_binary_files(tmp_path, key):
     with pytest.raises(InputError, match=r"nowhere.*cannot be read"):
         build_trajectory(OrbitParameters(**{key: "nowhere"}), EPOCH, tmp_path)
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00\x80" * 300)
-    with pytest.raises(InputError, match=r"binary: is (not text|no SPK kernel)"):
+    with pytest.raises(InputError, match=r"binary: is (not text|not an SPK kernel)"):
         build_trajectory(OrbitParameters(**{key: "binary"}), EPOCH, tmp_path)
 
 

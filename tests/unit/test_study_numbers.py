@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from scipy import stats
-from simulator.study.html_page import provenance, verdict_table
+from simulator.study.pages.parts import provenance, verdict_table
 
 from simulator.build import build_orbit
 from simulator.scenario import Scenario

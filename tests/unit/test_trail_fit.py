@@ -26,7 +26,7 @@ from startracker.trails.motion import (
     CommonMotion,
     Signal,
     _fitted,
-    _is_whole,
+    _is_inside,
     _lengthened,
     _Straight,
     _straightened,
@@ -302,7 +302,7 @@ def test_which_trails_are_whole():
         assert within(signal, table, np.array([margin])).tolist() == [inside]
         # with the 4 px of lines that may go on beyond
         table[0, :2] += np.sign([x - 49.5, y - 39.5]) * (margin - 4.0) * (np.abs([x - 49.5, y - 39.5]) > 20.0)
-        assert _is_whole(signal, table[0]) is inside
+        assert _is_inside(signal, table[0]) is inside
     assert signal.middle.tolist() == [49.5, 39.5]
 
 
