@@ -145,8 +145,8 @@ def test_only_what_depends_on_a_parameter_is_built_again():
     [
         ("detector.exposure_s", 1e9, "is outside"),
         ("detector.exposure_s", float("nan"), "is outside"),
-        ("seed", 3.0, "no parameter of this mission"),
-        ("tracker.magnitude_limit", 3.0, "no parameter of this mission"),
+        ("seed", 3.0, "not a parameter of this mission"),
+        ("tracker.magnitude_limit", 3.0, "not a parameter of this mission"),
         ("detector.temperature_c", 80.0, "dark current"),  # within its range, and refused by the physics
     ],
 )
