@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from scipy import stats
-from simulator.study.pages.parts import provenance, verdict_table
 
 from simulator.build import build_orbit
 from simulator.scenario import Scenario
@@ -26,6 +25,7 @@ from simulator.study.intervals import (
     spread_interval,
     wilson_interval,
 )
+from simulator.study.pages.parts import provenance, verdict_table
 from simulator.study.pictures import Shades, draw_solution
 from simulator.study.process_noise import process_noise
 from simulator.study.specification.measured import Measured, Setting
