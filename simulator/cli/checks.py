@@ -17,6 +17,11 @@ def at_least(least: int, **options: int | None) -> None:
             raise InputError(f"--{name}: must be {limit}, not {value}")
 
 
+def available_cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def processes(workers: int | None, dask: str | None, trials: int) -> int:
     """Processes to run so many trials: `workers`, or as many of this machine's cores as are worth one of their own.
 
@@ -30,7 +35,7 @@ def processes(workers: int | None, dask: str | None, trials: int) -> int:
     at_least(1, workers=workers)
     if workers is not None and dask is not None:
         raise InputError("--workers and --dask: give one of the two; a cluster has its own workers")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = available_cores()
     return workers or max(1, min(cores, trials // 100))
 
 

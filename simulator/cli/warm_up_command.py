@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 
+from simulator.cli.checks import available_cores
 from simulator.study.trials.process_pool import start_worker
 from simulator.study.trials.stopping import no_interrupt_for_children
 from startracker.errors import BoresightError
@@ -36,14 +36,19 @@ def warm_up() -> int:
     total, done, compiled = sum(map(len, rounds)), 0, 0
     with (
         WorkBar("Compiling", "tasks", total) as bar,
-        no_interrupt_for_children(),
-        ProcessPoolExecutor(_cores(), get_context("spawn"), initializer=start_worker) as pool,
+        ProcessPoolExecutor(available_cores(), get_context("spawn"), initializer=start_worker) as pool,
     ):
         try:
             for tasks in rounds:
-                for finished in as_completed([pool.submit(run_task, task) for task in tasks]):
+                with no_interrupt_for_children():
+                    pending = [pool.submit(run_task, task) for task in tasks]
+                for finished in as_completed(pending):
                     compiled, done = compiled + finished.result(), done + 1
                     bar.show(done, total)
+        except KeyboardInterrupt:
+            for process in active_children():  # numba replaces its files whole: what is compiled stays
+                process.terminate()
+            raise
         except BrokenProcessPool:
             raise BoresightError("a process that compiles died (out of memory?); run boresight warm-up again") from None
     print(
@@ -107,8 +112,3 @@ def _simulate(name: str) -> None:
         run_sequence(scenario.changed({"sequence.frames": _FRAMES}))
     else:
         TrialRunner(scenario).run(0)
-
-
-def _cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

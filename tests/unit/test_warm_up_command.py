@@ -1,5 +1,10 @@
-"""``boresight warm-up``: its rounds, what a task counts, and processes that die."""
+"""``boresight warm-up``: its rounds, what a task counts, processes that die, and Ctrl-C."""
 
+import os
+import signal
+import subprocess
+import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
@@ -24,7 +29,7 @@ def tasks(monkeypatch):
     """Tasks that were run, one after the other, each of which compiles two kernels."""
     done = []
     monkeypatch.setattr(warm_up_command, "ProcessPoolExecutor", Pool)
-    monkeypatch.setattr(warm_up_command, "_cores", lambda: 1)
+    monkeypatch.setattr(warm_up_command, "available_cores", lambda: 1)
     monkeypatch.setattr(warm_up_command, "run_task", lambda task: done.append(task) or 2)
     return done
 
@@ -60,3 +65,33 @@ def test_a_process_that_dies_is_one_line(tasks, monkeypatch):
     monkeypatch.setattr(Pool, "submit", submit)
     with pytest.raises(BoresightError, match="run boresight warm-up again"):
         warm_up()
+
+
+def is_alive(group):
+    """Whether any process of a group is left."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.system
+def test_an_interrupt_ends_it_and_its_processes(tmp_path):
+    """With an empty cache its first round takes minutes, which Ctrl-C of a terminal, sent to all processes, ends."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "simulator.cli", "warm-up"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True, env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+    )  # fmt: skip
+    while not list(tmp_path.rglob("*.nbi")):  # the first kernel of a worker
+        time.sleep(0.1)
+        assert process.poll() is None, process.communicate()
+    interrupted = time.monotonic()
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert time.monotonic() - interrupted < 20.0
+    assert "Traceback" not in errors
+    while is_alive(process.pid) and time.monotonic() - interrupted < 20.0:
+        time.sleep(0.1)  # multiprocessing's resource tracker ends after its parent
+    assert not is_alive(process.pid)
