@@ -1,9 +1,10 @@
-"""Reading of files that users name: regular files up to a limit of size; every error is one line."""
+"""Reading of files: those that users name, up to a limit of size, with errors of one line; and included tables."""
 
 from __future__ import annotations
 
 import os
 import stat
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -71,6 +72,12 @@ def read_bytes(path: str | Path, most_bytes: int, hint: str) -> bytes:
             return read_stream(stream, most_bytes, str(path), hint)  # a file may grow, and those of /proc state no size
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); {hint}") from error
+
+
+def included_lines(package: str, name: str) -> list[str]:
+    """Lines of a text file in the folder ``data`` of a package, without empty lines and comments (``#``)."""
+    text = (files(package) / "data" / name).read_text(encoding="utf-8")
+    return [line for line in text.splitlines() if line and not line.startswith("#")]
 
 
 def read_stream(stream: BinaryIO, most_bytes: int, name: str, hint: str) -> bytes:

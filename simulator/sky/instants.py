@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.constants import RADIUS_KM
 from simulator.mission.frames import argument_of_latitude_deg, ground_track_deg
 from simulator.mission.trajectory import Trajectory, from_earth
 from simulator.sky.ephemeris import barycentric_state, is_sunlit
-from simulator.sky.solar_system import RADIUS_KM, Bodies, bodies_seen_from, is_far, sun_position_au
+from simulator.sky.solar_system import Bodies, bodies_seen_from, is_far, sun_position_au
 from startracker.core import AU_KM, FloatArray
 from startracker.observer import Observer
 

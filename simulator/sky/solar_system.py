@@ -9,7 +9,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.constants import EARTH_RADIUS_KM
+from simulator.constants import RADIUS_KM
 from simulator.sky.apparent import aberrated
 from simulator.sky.ephemeris import barycentric_position_au, sky_time
 from simulator.sky.magnitudes import moon_v, planet_v, sun_v
@@ -22,20 +22,6 @@ from startracker.observer import Observer
 if TYPE_CHECKING:
     from simulator.mission.clock import Clock
     from simulator.sky.parameters import Sky
-
-RADIUS_KM = {
-    "Mercury": 2440.53,
-    "Venus": 6051.8,
-    "Mars": 3396.19,
-    "Jupiter": 71492.0,
-    "Saturn": 60268.0,
-    "Uranus": 25559.0,
-    "Neptune": 24764.0,
-    "Earth": EARTH_RADIUS_KM,
-    "Moon": 1737.4,
-    "Sun": 695_700.0,
-}
-"""Equatorial radii: IAU working group (Archinal et al. 2018); Sun: IAU 2015 Resolution B3."""
 
 B_V = {
     "Mercury": 0.93,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from startracker.catalog.fixed_width import FixedWidth
 from startracker.catalog.stars import StarCatalog, mas
 from startracker.core import ARCSEC_RAD, FloatArray, IntArray
 from startracker.errors import InputError
+from startracker.files import included_lines
 
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
@@ -165,8 +165,7 @@ def parse_hip2(data: bytes) -> StarCatalog:
 
 def corrected(catalog: StarCatalog, column: str) -> StarCatalog:
     """The catalogue with one column corrected by the values in ``data/hipparcos_corrections.csv``."""
-    text = (files("startracker.catalog") / "data" / "hipparcos_corrections.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    rows = csv.DictReader(included_lines("startracker.catalog", "hipparcos_corrections.csv"))
     given = {int(row["hip"]): float(row[column]) for row in rows if row[column]}
     values = getattr(catalog, column).copy()
     for k in np.flatnonzero(np.isin(catalog.id, list(given))):

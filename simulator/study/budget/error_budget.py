@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect
 from simulator.study.budget.outliers import ALL_ON, Outlier, find_outliers, lines_of
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.specification.outcome import identified
-from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.arrow import as_array
 from simulator.study.trials.engine import Progress, run_trials
 from startracker.core import FloatArray

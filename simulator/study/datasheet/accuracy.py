@@ -11,13 +11,13 @@ from scipy.special import ndtri
 
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet.classes import CLASSES, Separated, separate
 from simulator.study.datasheet.scan import ScanGeometry, scan_geometry
 from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, rms_of, upper_limit
 from simulator.study.datasheet.tasks import Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.intervals import ratios_of_rms
-from simulator.study.statistics import CAMERA_AXES
 from startracker.core import ARCSEC_PER_DEG, Columns, FloatArray
 
 RESAMPLES = 400

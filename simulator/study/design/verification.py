@@ -11,11 +11,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from simulator.scenario import Scenario
+from simulator.study.axes import BODY_AXES
 from simulator.study.design.search import Design, Point, Search, Trade, changed, design
 from simulator.study.run import run
 from simulator.study.specification.requirements import specification_of
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement, frames_needed
-from simulator.study.statistics import BODY_AXES
 from startracker.errors import InputError
 
 Report = Callable[[int, float], None]
