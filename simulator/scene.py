@@ -36,10 +36,9 @@ from simulator.optics.jitter_series import JitterMotion, JitterSeries, SampledJi
 from simulator.randomness import Streams
 from simulator.sky.apparent import SkyIndex, by_declination, largest_shift_rad
 from simulator.sky.colours import spectral_coordinates
-from simulator.sky.instants import Instant, Instants
+from simulator.sky.instants import Bodies, Instant, Instants
 from simulator.sky.parameters import Sky
 from simulator.sky.satellites import Look, SatelliteList, Satellites
-from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog

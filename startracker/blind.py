@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -173,7 +174,7 @@ def _points_of_image(
         trace=trace,
     )
     if found.status is not None:
-        trace.append(hints(found.status, 0, known_camera=False))
+        trace.append(partial(hints, found.status, 0, known_camera=False))
         return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=Steps(*trace))
     rows, columns = np.shape(given.image)
     xy, flux, variance = found.stars[:3]

@@ -195,6 +195,22 @@ def check_image(
     return CheckedImage(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 
+_LATTICE = 32
+"""Samples of an image along each axis, about a thousand, of which an explanation is made."""
+
+
+def lattice_steps(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Rows and columns from one sample of an image to the next."""
+    return max(1, shape[0] // _LATTICE), max(1, shape[1] // _LATTICE)
+
+
+def image_sample(image: NDArray[Any]) -> NDArray[Any]:
+    """Copy of the values on a lattice, for an explanation that is read after the caller has changed the image."""
+    rows, columns = lattice_steps(image.shape)
+    # The samples are the centres of the lattice's cells, away from the border.
+    return image[rows // 2 :: rows, columns // 2 :: columns].flatten()
+
+
 def saturation_message(share: float, level: float) -> str:
     """Reason text for a saturated image."""
     return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; shorten the exposure"

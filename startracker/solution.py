@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arguments import of_kind, real_array
+from startracker.arguments import is_skycoord, of_kind, real_array
 from startracker.catalog.bodies import NO_BODIES, SeenBodies
 from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.display import angle_text, described, html_card, quantity_range, star_chart
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.geometry.camera import Camera
-from startracker.interop import is_skycoord
 from startracker.observer import Observer, aberrate, corrects_aberration
 from startracker.trace import Step
 

@@ -25,16 +25,24 @@ from startracker.core import FloatArray, IntArray
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.field_fit import Estimator, takes_field
-from startracker.estimation.refine_stars import selected, stated_errors
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
-from startracker.field_solution import Field, solution_of
+from startracker.field_solution import (
+    Field,
+    explains_bright_stars,
+    identify_around,
+    misfit_px,
+    selected,
+    solution_of,
+    stated_errors,
+    strongest,
+    trail_fragments_possible,
+)
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, star_hypotheses
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.identification.about_knot import about_knot
 from startracker.identification.acceptance import accepts, passes_confirmation_threshold
-from startracker.identification.around_prior import identify_around
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification.unknown_scale.free_scale import FEWEST_MATCHED
 from startracker.inputs import (
@@ -53,7 +61,6 @@ from startracker.settings.registry import lookup
 from startracker.solution import Solution, Status
 from startracker.trace import Step, Steps, Trace
 from startracker.unexplained import Fitted, reason_to_refuse
-from startracker.whole_field import explains_bright_stars, misfit_px, strongest, trail_fragments_possible
 
 
 class StarTracker:
@@ -172,7 +179,7 @@ class StarTracker:
         hypotheses = star_hypotheses(given, *stages, clock, self.camera, trace)
         found = next(hypotheses)
         if found.status is not None:
-            trace.append(hints(found.status, 0, known_camera=True))
+            trace.append(partial(hints, found.status, 0, known_camera=True))
             return replace(self._unsolved(found.status, found.reason, clock), steps=Steps(*trace))
         hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
         solution, found = self._best_hypothesis(chain((found,), hypotheses), hint, given.observer, clock, trace)
@@ -181,7 +188,9 @@ class StarTracker:
             solution = replace(solution, status=Status.SATURATED, reason=reason)
         seen, saturated = len(found.stars.xy), found.saturated
         trace.append(partial(attitude_steps, solution))
-        trace.append(hints(solution.status, seen, known_camera=True, saturated=saturated, settings=self.detection))
+        trace.append(
+            partial(hints, solution.status, seen, known_camera=True, saturated=saturated, settings=self.detection)
+        )
         return replace(solution, steps=Steps(*trace))
 
     def solve_centroids(
@@ -227,7 +236,7 @@ class StarTracker:
         if left_out and not solution.solved:
             reason = f"{reason} ({left_out} centroids not finite, outside the image or repeated)"
         trace.append(partial(attitude_steps, solution))
-        trace.append(hints(solution.status, len(points), known_camera=True))
+        trace.append(partial(hints, solution.status, len(points), known_camera=True))
         return replace(solution, reason=reason, steps=Steps(*trace))
 
     # ------------------------------------------------------------------ points or trails

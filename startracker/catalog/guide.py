@@ -207,7 +207,7 @@ class GuideDatabase:
 
     # ------------------------------------------------------------------ properties
     def __len__(self) -> int:
-        return len(self.catalog)
+        return len(self.directions)
 
     @property
     def v_mag(self) -> FloatArray:

@@ -38,7 +38,7 @@ from startracker.estimation.outliers import FEWEST_STARS, MOST_STARS, average, i
 from startracker.estimation.pose import TRUSTED, Linearised, Pose, displacements, fit_pose
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
-from startracker.geometry.image_map import CX, WIDTH
+from startracker.geometry.image_map import CX, WIDTH, to_directions
 from startracker.geometry.linalg import rotated, solve
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
@@ -356,7 +356,8 @@ class _Field(NamedTuple):
         _, offset, slopes, extra = self.seen(used[:, 1], matrix)
         # Geometric mean of the scales along the two axes: the fourth root of the determinant of J Jᵀ.
         pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
-        seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
+        at_px = measured[used[:, 0]] - displacements(offset, extra, pose.unknowns)
+        seen = to_directions(at_px, camera.image_map)
         sigma_rad = pose.sigma_px / pixels_per_rad
         if takes_field(estimator):
             estimate = estimator(seen, reference, sigma_rad, field=FieldFit(matrix, pose.covariance))

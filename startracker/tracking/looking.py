@@ -15,7 +15,7 @@ from startracker.catalog.sky_view import SkyView
 from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.detection import Background
 from startracker.errors import InputError
-from startracker.estimation.refine_stars import IMAGE_FLOOR_PX, STATED_PX
+from startracker.field_solution import IMAGE_FLOOR_PX, STATED_PX
 from startracker.geometry.image_map import to_directions
 from startracker.inputs import SAME_STAR_PX
 from startracker.observer import Observer

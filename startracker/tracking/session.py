@@ -15,16 +15,15 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arguments import ABOVE_0, of_kind, real_array, real_number
+from startracker.arguments import ABOVE_0, of_kind, plain, real_array, real_number
 from startracker.core import FloatArray
 from startracker.display import described
-from startracker.estimation.refine_stars import STATED_PX
+from startracker.field_solution import STATED_PX
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.identification.acceptance import accepts
 from startracker.inputs import GivenImage, given_image
 from startracker.inputs import plain as plain_array
-from startracker.interop import plain
 from startracker.observer import Observer, corrects_aberration
 from startracker.settings import TrackingSettings
 from startracker.settings.checks import settings_or_default

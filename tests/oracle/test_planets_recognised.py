@@ -5,7 +5,7 @@ import pytest
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.sky.solar_system import bodies_seen_from
+from simulator.sky.instants import bodies_seen_from
 from simulator.study.trials.trial import TrialRunner
 from startracker import Attitude, Camera, Observer, StarTracker
 from startracker.catalog.bodies import NO_BODIES, body_directions
@@ -89,7 +89,7 @@ def test_a_planet_beside_a_star_is_no_star(monkeypatch):
     flux = np.append(10.0 ** (-0.4 * guide.v_mag[index[others]]), 10.0 ** (-0.4 * guide.v_mag[row]))
     star = int(guide.catalog.id[row])
     with monkeypatch.context() as patch:
-        patch.setattr("startracker.estimation.refine_stars.seen_bodies", lambda *_: NO_BODIES)
+        patch.setattr("startracker.field_solution.seen_bodies", lambda *_: NO_BODIES)
         unaware = tracker.solve_centroids(points, flux, sigma_px=0.5, observer=observer)
     assert star in unaware.stars.catalog_id.tolist()
     solution = tracker.solve_centroids(points, flux, sigma_px=0.5, observer=observer)

@@ -18,9 +18,9 @@ from simulator.optics.curves import Curve
 from simulator.sky.apparent import SkyIndex, apparent_directions
 from simulator.sky.colours import population_giant_share
 from simulator.sky.ephemeris import observe, sky_time
+from simulator.sky.instants import solar_system, sun_position_au
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
-from simulator.sky.solar_system import solar_system, sun_position_au
 from simulator.sky.spectra import B_V_RANGE, LATE_GIANT
 from startracker.catalog import load_catalog
 from startracker.core import ARCSEC_RAD, AU_KM, SPEED_OF_LIGHT_KM_S
