@@ -16,7 +16,6 @@ from startracker.detection.artefacts import mask_extremes
 from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.display import fields_repr
 from startracker.errors import InputError
-from startracker.geometry.camera import Camera
 from startracker.observer import Observer, observer_of
 from startracker.sorting import order_of_columns
 
@@ -221,19 +220,13 @@ SAME_STAR_PX = 0.75
 _NO_FLUX = np.empty(0)
 
 
-def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:
-    """Usable centroids (N, 2), brightest first, and their flux, see `usable_centroids`."""
-    points, signal, _ = usable_centroids(xy, flux, camera)
-    return points, signal
-
-
 def usable_centroids(
-    xy: ArrayLike, flux: ArrayLike | None, camera: Camera
+    xy: ArrayLike, flux: ArrayLike | None, width: int, height: int
 ) -> tuple[FloatArray, FloatArray | None, IntArray]:
     """Usable centroids (M, 2), brightest first, their flux, and their indices in the list.
 
-    Usable are finite positions on the image, without duplicates. A star whose flux is not a positive number counts as
-    the faintest.
+    Usable are finite positions on an image of this size, without duplicates. A star whose flux is not a positive number
+    counts as the faintest.
     """
     try:
         points = np.array(real_array("centroids", plain(xy), finite=False), order="C")
@@ -246,7 +239,7 @@ def usable_centroids(
         raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
     if flux is not None and len(signal) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
-    usable, brightness, rows = _usable(points, signal, camera.width, camera.height)
+    usable, brightness, rows = _usable(points, signal, width, height)
     known = flux is not None and len(brightness) == len(rows)
     return usable, brightness if known else None, rows
 

@@ -226,7 +226,7 @@ class StarTracker:
             If the shapes of the arrays do not match or an error is not positive.
         """
         clock, observer = Clock(), observer_of(observer, time)
-        points, signal, rows = usable_centroids(xy, flux, self.camera)
+        points, signal, rows = usable_centroids(xy, flux, self.camera.width, self.camera.height)
         given = np.size(xy) // 2
         trace: Trace = [partial(listed_step, given, points, signal)]
         guide, variance = self.guide.apparent_to(observer), stated_variance(sigma_px, given, rows)

@@ -108,7 +108,8 @@ def _identify(
     # x along the columns, y up (against the rows), in units of the pixel's angle at the boresight.
     xy = vectors[:, :2] / vectors[:, 2:] * [1.0, -1.0] / guide.camera.pixel_rad
     fixed = settings.separation_tolerance_deg
-    # A tolerance given in degrees does not depend on the stated errors, so that one scale, the widest, is sufficient.
+    # A tolerance in degrees does not depend on the stated errors. One search is then enough, with the widest gate of
+    # the verification, which narrows it by itself (`verify`).
     scales = tried_scales(observed, guide) if fixed is None else SCALES[-1:]
     tables = _tables(guide, prior, arithmetic)
     i, j, separations = observed_pairs(vectors)
