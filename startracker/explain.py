@@ -137,7 +137,7 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
         return ()
     length = np.hypot(*stars.residual_px.T)
     bodies = solution.bodies.name.tolist()
-    left, named = len(solution.centroids) - len(solution.stars) - len(bodies), len(solution.stars) - len(stars)
+    left, unused = len(solution.centroids) - len(solution.stars) - len(bodies), len(solution.stars) - len(stars)
     steps = [
         Step(
             "attitude",
@@ -146,8 +146,8 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
             f"{length.max():.3f} px ({stars.catalog_id[int(np.argmax(length))]})",
         )
     ]
-    if named:
-        steps.append(Step("attitude", f"{named} identified stars not used: residual not explained by their error"))
+    if unused:
+        steps.append(Step("attitude", f"{unused} identified stars not used: residual not explained by their error"))
     if bodies:
         steps.append(Step("attitude", f"recognised by ephemeris and not used: {', '.join(bodies)}"))
     if left:

@@ -218,6 +218,29 @@ def _solved(found: Identification, refined: Refined, field: Field, camera: Camer
     )
 
 
+def unsolved(
+    camera: Camera,
+    status: Status,
+    reason: str,
+    clock: Clock,
+    xy: FloatArray | None = None,
+    log_false_alarm: float = 0.0,
+    operations: int = 0,
+) -> Solution:
+    """Solution without an attitude, of these centroids."""
+    return Solution(
+        status,
+        reason,
+        centroids=np.empty((0, 2)) if xy is None else xy,
+        fov_deg=camera.fov_deg,
+        parity=camera.parity,
+        times_ms=clock.times_ms(),
+        camera=camera,
+        log_false_alarm=log_false_alarm,
+        operations=operations,
+    )
+
+
 def _focal_correction(factor: float) -> str:
     return "" if factor == 1.0 else f"; the focal length is {factor:.4f} times the camera's"
 
@@ -271,3 +294,9 @@ def _many_bright(spots: FloatArray, stars: FloatArray) -> bool:
     half = len(stars) // 2
     as_bright = np.count_nonzero(spots >= np.sort(stars)[half])
     return len(stars) - half >= _LEAST_MATCHED * float(as_bright)
+
+
+def flux_of_stars(found: FoundStars, solution: Solution) -> FloatArray:
+    """Signal of the centroids, without those of bodies of the solar system."""
+    assert found.stars.flux is not None
+    return solution.without_bodies(found.stars.flux)

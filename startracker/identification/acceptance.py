@@ -308,9 +308,9 @@ class HypothesisPool:
         """Whether the best hypothesis exceeds the limit so far that no other can compete."""
         return bool(self.hypotheses) and self.log_chance < self.limit - SURE_BEYOND
 
-    def judge(self, observed: Observed) -> Identification:
+    def outcome(self, observed: Observed) -> Identification:
         """Outcome with its reason: solved, ambiguous, no match, or ended by the limit on operations."""
-        found = self._judge(observed)
+        found = self._outcome(observed)
         if found.status is Status.SOLVED:
             return found
         status, reason = found.status, found.reason
@@ -320,7 +320,7 @@ class HypothesisPool:
             status = Status.SEARCH_LIMIT
         return replace(found, status=status, reason=reason, operations=self.operations)
 
-    def _judge(self, observed: Observed) -> Identification:
+    def _outcome(self, observed: Observed) -> Identification:
         seen = f"{len(observed)} stars seen"
         if self.prior is not None:
             seen += f", prior within {math.degrees(self.prior.radius_rad):.2g}°"

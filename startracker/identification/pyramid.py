@@ -107,12 +107,12 @@ def pyramid(
                     checked += 1
                     pool.check(matrices[f], observed, guide, scale)
                 if finds and pool.decided:
-                    return pool.judge(observed)
+                    return pool.outcome(observed)
             pool.note(
                 f"pyramids within {scale:g} stated errors: {reached} of {len(triples)} triangles, "
                 + (f"the best confirmed by {best} further stars" if best else "none confirmed by a fourth star")
             )
-        verdict = pool.judge(observed)
+        verdict = pool.outcome(observed)
         if verdict.status is Status.SOLVED or pool.cut_short:
             break
     return verdict

@@ -113,7 +113,7 @@ def _identify(
     scales = tried_scales(observed, guide) if fixed is None else SCALES[-1:]
     tables = _tables(guide, prior, arithmetic)
     i, j, separations = observed_pairs(vectors)
-    verdict = pool.judge(observed)
+    verdict = pool.outcome(observed)
     for scale in scales:
         tolerance = pair_tolerance(
             observed.sigma_rad[before] * scale, i, j, separations, None if fixed is None else math.radians(fixed)
@@ -145,7 +145,7 @@ def _identify(
             f"triads within {scale:g} stated errors: {len(match.triads)} in {len(sizes)} groups, the largest of "
             f"{sizes.max(initial=0)}; {checked} groups name three stars"
         )
-        verdict = pool.judge(observed)
+        verdict = pool.outcome(observed)
         if verdict.status is Status.SOLVED or pool.cut_short:
             break
     return verdict

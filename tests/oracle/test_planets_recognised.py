@@ -12,7 +12,7 @@ from startracker.catalog.bodies import NO_BODIES, body_directions
 from startracker.core import ARCSEC_RAD, DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.ephemeris import astrometric_au, barycentric, timescale
 from startracker.observer import aberrate
-from startracker.tracking.looking import Sky
+from startracker.tracking.candidates import Sky
 
 
 def near_earth(year):
