@@ -239,7 +239,7 @@ class SceneBuilder:
         exposure_s : float
             Exposure time.
         given : GivenState, optional
-            Time, attitude, rate and jitter instead of those of the trial.
+            Time, attitude, rate and jitter instead of the trial's.
         """
         sky = self.parameters.sky
         now = self.instant(index) if given.at_s is None else self.instant_at(float(given.at_s))

@@ -246,7 +246,7 @@ def _focal_correction(factor: float) -> str:
 
 
 def explains_bright_stars(solution: Solution, flux: FloatArray, guide: GuideDatabase, trailed: bool = False) -> bool:
-    """Whether the residuals are those of stars, many of the bright spots are matched, and most of the brightest guide
+    """Whether the residuals are as small as for stars, and many of the bright spots and most of the brightest guide
     stars of the field are matched.
 
     For trails only the second condition is tested: the ends of long trails are uncertain, and others are cut by the
@@ -268,7 +268,7 @@ def explains_bright_stars(solution: Solution, flux: FloatArray, guide: GuideData
 def trail_fragments_possible(solution: Solution, flux: FloatArray, guide: GuideDatabase, streaked: bool) -> bool:
     """Whether the matched points may be fragments of trails with a common offset.
 
-    They may if their residuals are larger than those of stars, or if the frame has streaks with a common motion
+    They may if their residuals are too large for stars, or if the frame has streaks with a common motion
     (`streaked`) that do not match stars of the field, and most bright points are not matched. If most bright points of
     a frame are matched, they are stars.
     """
@@ -297,6 +297,6 @@ def _many_bright(spots: FloatArray, stars: FloatArray) -> bool:
 
 
 def flux_of_stars(found: FoundStars, solution: Solution) -> FloatArray:
-    """Signal of the centroids, without those of bodies of the solar system."""
+    """Signal of the centroids that are not bodies of the solar system."""
     assert found.stars.flux is not None
     return solution.without_bodies(found.stars.flux)

@@ -92,7 +92,7 @@ def read_stream(stream: BinaryIO, most_bytes: int, name: str, hint: str) -> byte
 def read_text(path: str | Path, most_bytes: int, hint: str) -> str:
     """Text of a UTF-8 file, with or without a byte-order mark.
 
-    Parameters and errors are those of `check_file`; also `InputError` if the file is not text.
+    Parameters and errors as for `check_file`; also `InputError` if the file is not text.
     """
     return as_text(read_bytes(path, most_bytes, hint), path, hint)
 
@@ -108,7 +108,7 @@ def as_text(data: bytes, path: str | Path, hint: str) -> str:
 def read_yaml(path: str | Path, hint: str) -> Any:
     """Plain values of a YAML file of settings.
 
-    Errors are those of `check_file`; also `InputError` for content that is not YAML or is nested too deeply.
+    Errors as for `check_file`; also `InputError` for content that is not YAML or is nested too deeply.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError

@@ -88,7 +88,7 @@ class CameraStarTracker(sysModel.SysModel):  # type: ignore[misc]
         that ``icrf`` is right for states of SPICE; ``eme2000`` is the mean equator and equinox of J2000, 23 mas away.
     centre : str, optional
         Origin of Basilisk's positions, one of `simulator.mission.trajectory.CENTRES`. None: the spacecraft's position
-        and velocity are those of the scenario's orbit, for spacecraft without gravity.
+        and velocity follow the scenario's orbit, for spacecraft without gravity.
     latency_s : float
         Time from the end of an exposure to the message.
 

@@ -101,7 +101,7 @@ class MeanElementsOrbit:
 
 
 def epoch_s(elements: MeanElements, clock: Clock) -> float:
-    """Epoch of a set of elements, SI seconds after that of a clock."""
+    """Epoch of a set of elements, SI seconds after the clock's epoch."""
     # Elements count days of 86,400 s, whereas ERFA's quasi Julian date stretches a day that has a leap second, so
     # TAI − UTC is added explicitly. A leap second itself has a day fraction of 1 or more, and belongs to the day it
     # ends.
@@ -189,7 +189,7 @@ def sgp4_state(satellite: Any, clock: Clock, t_s: FloatArray, epoch_s: float) ->
     t_s : array
         Times, seconds after the clock's epoch.
     epoch_s : float
-        Epoch of the elements, seconds after that of the clock.
+        Epoch of the elements, seconds after the clock's epoch.
 
     Raises
     ------

@@ -40,7 +40,7 @@ class Baffle:
     """Exclusion angle by name of body (``Sun``, ``Moon``, ``Earth``), within which no performance is required."""
 
     def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
-        """Ratio of the irradiance on the detector to that of the same source on the aperture at normal incidence."""
+        """Irradiance on the detector over irradiance by the same source on the aperture at normal incidence."""
         angle = np.asarray(angle_rad, dtype=float)
         value = np.exp(np.interp(angle, self.angle_rad, np.log(self.pst)))
         return np.asarray(np.where(angle <= self.angle_rad[-1], value, 0.0))

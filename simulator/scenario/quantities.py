@@ -27,7 +27,7 @@ def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
     Raises
     ------
     InputError
-        For a quantity whose unit cannot be converted to that of the key.
+        For a quantity whose unit cannot be converted to the key's.
     """
     # An unknown path is left to the loader, which reports it.
     if path in keys:

@@ -1,6 +1,6 @@
 """Plots of a study: each function draws one figure from the columns of the trials.
 
-Colours are those of Okabe & Ito (2008), distinguishable with colour-blindness and in greyscale print; markers differ as
+Colours follow Okabe & Ito (2008), distinguishable with colour-blindness and in greyscale print; markers differ as
 well.
 """
 

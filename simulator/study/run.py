@@ -118,7 +118,7 @@ def run(
     scenario : Scenario or path
         The scenario, or the name of an included one or of a file.
     trials, seed : int, optional
-        Replace those of the scenario.
+        Replace the scenario's.
     workers : int
         Processes on this machine; the rows do not depend on their number.
     dask : str, optional

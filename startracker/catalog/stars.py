@@ -45,7 +45,7 @@ class StarCatalog:
     star_name : str array
         Bayer/Flamsteed or proper name; empty where unknown.
     position_sigma_rad : float
-        Standard error of the positions on one axis, which the tracker adds to that of its centroids.
+        Standard error of the positions on one axis, which the tracker adds to the errors of its centroids.
     variable : bool array
         Whether the catalogue lists the star as variable; all False by default. A variable star may be brighter or
         fainter than `v_mag`.

@@ -64,7 +64,7 @@ def find_components(
 ) -> Spots:
     """Star candidates as 8-connected components above background + `threshold_sigma` × noise.
 
-    With `matched_filter` the components are those of the filtered image (`startracker.detection.matched`), above
+    With `matched_filter` components are found in the filtered image (`startracker.detection.matched`), above
     `threshold_sigma` times the noise of that image; fluxes, peaks and sizes are measured in the original image.
 
     An object of more than `max_pixels` (the wings of a very bright star, stars in front of a nebula or beside the Moon)
@@ -123,7 +123,7 @@ def find_trailed(
 ) -> Spots | None:
     """Stars trailed by one motion of the camera, from a search at half the threshold; None without such a motion.
 
-    The parameters are those of `find_components`.
+    Parameters as for `find_components`.
     """
     pixels, threshold = as_pixels(image), 0.5 * float(settings.threshold_sigma)
     runs, signal, excess = search_filtered(pixels, background, filter_half(settings.psf_sigma_px), threshold)

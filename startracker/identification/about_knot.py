@@ -64,7 +64,7 @@ def about_knot(
     Returns
     -------
     Identification
-        Its operations include those of the rejected one.
+        Its operations include the rejected search.
     """
     pool = HypothesisPool(settings, stars=len(observed), operations=found.operations)
     scale, verified = tried_scales(observed, guide)[-1], 0

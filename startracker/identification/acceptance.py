@@ -54,7 +54,7 @@ def log_chance(
     Parameters
     ----------
     log_evidence, rivals : float, sequence of float
-        ln B of the best answer, and those of its rivals.
+        ln B of the best answer, and of each rival.
     log_gain : float
         ln of the factor on all B: above 0 for a prior, below 0 for patterns tried.
     log_density : float
@@ -197,7 +197,7 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
 
 
 def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
-    """Those of `SCALES` with which the errors remain a small share of the field's half diagonal; at least the first."""
+    """The `SCALES` with which the errors remain a small share of the field's half diagonal; at least the first."""
     largest = WIDEST_SHARE * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
     return tuple(scale for scale in SCALES if scale <= largest) or SCALES[:1]
 

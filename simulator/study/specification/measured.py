@@ -133,12 +133,12 @@ class Measured:
 
     @property
     def misidentified(self) -> int:
-        """Those of them with a misidentified star."""
+        """Wrong attitudes with a misidentified star."""
         return int((outcome_flags(self.columns)[0] & self._wrong).sum())
 
     @property
     def gross(self) -> int:
-        """Those of them that are inconsistent and beyond the specification, with the right stars."""
+        """Wrong attitudes with the right stars, inconsistent and beyond the specification."""
         misidentified, inconsistent, _ = outcome_flags(self.columns)
         return int((inconsistent & ~misidentified & self._wrong).sum())
 

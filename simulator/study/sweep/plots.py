@@ -1,7 +1,7 @@
 """Plots of a sweep: errors and identification rate by swept key, and maps over two keys.
 
 A logarithmic range has a logarithmic axis; names and mixed lists are categories. Grey crosses mark unphysical points.
-The colours are those of Okabe & Ito (2008); curves also differ in their markers.
+The colours follow Okabe & Ito (2008); curves also differ in their markers.
 """
 
 from __future__ import annotations
