@@ -42,6 +42,7 @@ class Baffle:
     def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
         """Irradiance on the detector over irradiance by the same source on the aperture at normal incidence."""
         angle = np.asarray(angle_rad, dtype=float)
+        # Measured and modelled curves fall by decades; between their points the logarithm is nearly linear.
         value = np.exp(np.interp(angle, self.angle_rad, np.log(self.pst)))
         return np.asarray(np.where(angle <= self.angle_rad[-1], value, 0.0))
 

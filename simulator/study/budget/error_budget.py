@@ -245,6 +245,8 @@ def _errors(table: Any) -> _Run:
 
 def _contribution(name: str, kind: str, base: _Run, without: _Run, seed: int) -> Contribution:
     """Contribution of an effect: `base` with it, over the trials marked by `right`, `without` over solved trials."""
+    # Both runs have the same stars and the same noise of every other effect, which cancels in the difference of squares
+    # trial by trial; the difference of the two rms values would have the scatter of both.
     both = base.right & without.solved
     difference = base.errors[both] ** 2 - without.errors[both] ** 2
     added = difference.mean(axis=0) if both.any() else np.full(3, math.nan)
@@ -267,6 +269,7 @@ def _by_axis(values: FloatArray) -> dict[str, float]:
 
 
 def _root(square: float) -> float:
+    # Without a small effect the error may by chance be larger; the sign shows it.
     return math.copysign(math.sqrt(abs(square)), square)
 
 

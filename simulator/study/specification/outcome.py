@@ -86,6 +86,8 @@ def exceeds_limit(error_deg: Mapping[str, float], specification: Specification) 
     """Whether an error exceeds the widest limit of the specification about its axis, or the rotation `GROSS_DEG` if the
     specification has no limit on errors."""
     widest: dict[str, float] = {}
+    # An axis may have limits at several percentiles. An error between two of them is allowed in some of the frames, and
+    # is not wrong by itself.
     for each in specification.errors:
         widest[each.axis] = max(each.limit, widest.get(each.axis, 0.0))
     if widest:
