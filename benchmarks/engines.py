@@ -23,7 +23,7 @@ from benchmarks.cases import chosen
 from benchmarks.flight import ALLOWED, LIMITS, SCENARIOS, error_ratio
 from benchmarks.report import provenance
 from simulator.checks import load_scenario
-from simulator.study.statistics import CAMERA_AXES
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.trackers import tracker_of
 from simulator.study.trials.trial import TrialRunner, solve_frame
 from startracker._compiled import clock

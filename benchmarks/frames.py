@@ -30,7 +30,7 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.ephemeris import observe
-from simulator.sky.solar_system import solar_system
+from simulator.sky.instants import solar_system
 from simulator.study.star_tracker import build_tracker
 from simulator.study.statistics import wilson_interval
 from simulator.study.trials.trial import solve_frame

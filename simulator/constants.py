@@ -23,3 +23,23 @@ ELEMENTARY_CHARGE_C = 1.602_176_634e-19
 
 SECONDS_PER_YEAR = 365.25 * 86_400.0
 """Julian year."""
+
+TROPICAL_YEAR_S = 365.2422 * 86_400.0
+"""Tropical year, in which the Sun returns to the equinox; Explanatory Supplement 2013."""
+
+DEFAULT_B_V = 0.6
+"""Colour assumed for a star with unknown B−V: about the median of stars brighter than V = 9."""
+
+RADIUS_KM = {
+    "Mercury": 2440.53,
+    "Venus": 6051.8,
+    "Mars": 3396.19,
+    "Jupiter": 71492.0,
+    "Saturn": 60268.0,
+    "Uranus": 25559.0,
+    "Neptune": 24764.0,
+    "Earth": EARTH_RADIUS_KM,
+    "Moon": 1737.4,
+    "Sun": 695_700.0,
+}
+"""Equatorial radii: IAU working group (Archinal et al. 2018); Sun: IAU 2015 Resolution B3."""

@@ -12,10 +12,10 @@ from simulator.frame import TrueSources
 from simulator.optics.bodies import NO_LIMB, sun_angle_rad
 from simulator.scene import NEAR_BODY_RAD, Scene
 from simulator.sky.earth import has_disk, limbs, occulted, unhidden
+from simulator.sky.instants import Bodies
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
 from simulator.sky.satellites import Satellites
-from simulator.sky.solar_system import Bodies
 from simulator.sky.spectra import SOLAR_B_V
 from startracker.core import FloatArray, IntArray
 from startracker.geometry.camera import Camera

@@ -10,9 +10,13 @@ import zlib
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 DEVICE = -1
 """Trial index for properties of the device, which do not depend on the trial: fixed-pattern noise, hot pixels."""
+
+Key = NDArray[np.uint64]
+"""Key (2,) of a counter-based stream of kernels (`simulator.detector.philox`): two numbers of 32 bits."""
 
 Streams = Callable[[str], np.random.Generator]
 """Returns the generator of a stage by its name."""
@@ -36,3 +40,10 @@ def stream(seed: int, stage: str, trial: int = DEVICE) -> np.random.Generator:
     # A spawn key must not be negative, and the properties of the device have the trial -1.
     key = np.random.SeedSequence(entropy=seed, spawn_key=(zlib.crc32(stage.encode()), trial + 1))
     return np.random.Generator(np.random.Philox(key))
+
+
+def draw_key(rng: np.random.Generator) -> Key:
+    """Key (2,) uint64 of a counter-based stream: the lower and upper half of the next 64 bits of the stream `rng`. For
+    an unused stream these are its first two `integers` of 32 bits."""
+    bits: int = rng.bit_generator.random_raw()
+    return np.array([bits & 0xFFFFFFFF, bits >> 32], dtype=np.uint64)

@@ -67,7 +67,7 @@ def render(
     at_s : float, astropy Quantity or astropy Time, optional
         Seconds after the epoch, or a date, instead of the time of the trial.
     attitude : Attitude or scipy Rotation, optional
-        True camera attitude instead of that of the trial; the prior then has the random error of the trial.
+        True camera attitude instead of the trial's; the prior then has the random error of the trial.
 
     Raises
     ------
@@ -127,8 +127,8 @@ class Renderer:
     def changed(self, values: Mapping[str, Any]) -> Renderer:
         """Renderer of the scenario with other values, which shares all parts that do not depend on them.
 
-        Its frames are identical to those of a new renderer of `Scenario.changed(values)`. Raises `ScenarioError` for
-        values that are not valid.
+        A new renderer of `Scenario.changed(values)` makes identical frames. Raises `ScenarioError` for values that are
+        not valid.
         """
         # Catalogue, PSF tables and fixed patterns take seconds to build; a sweep changes one key for each of its
         # points. Each condition below lists the keys that do not affect a part.
@@ -190,8 +190,8 @@ class Renderer:
         """Frame and truth of trial `index`; parameters as in `render`.
 
         `rate_camera_rad_s` (3,), the inertial angular velocity in camera axes, replaces the rate of the trial if an
-        attitude is given; `jitter`, relative to mid-exposure, replaces that of the trial, and `exposure_s` that of the
-        scenario.
+        attitude is given; `jitter`, relative to mid-exposure, replaces the trial's, and `exposure_s` the
+        scenario's.
         """
         scenario, duration_s = self.scenario, self._duration_s(exposure_s)
         scene = self.scene(

@@ -36,10 +36,9 @@ from simulator.optics.jitter_series import JitterMotion, JitterSeries, SampledJi
 from simulator.randomness import Streams
 from simulator.sky.apparent import SkyIndex, by_declination, largest_shift_rad
 from simulator.sky.colours import spectral_coordinates
-from simulator.sky.instants import Instant, Instants
+from simulator.sky.instants import Bodies, Instant, Instants
 from simulator.sky.parameters import Sky
 from simulator.sky.satellites import Look, SatelliteList, Satellites
-from simulator.sky.solar_system import Bodies
 from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker.catalog import load_catalog
 from startracker.catalog.stars import StarCatalog
@@ -240,7 +239,7 @@ class SceneBuilder:
         exposure_s : float
             Exposure time.
         given : GivenState, optional
-            Time, attitude, rate and jitter instead of those of the trial.
+            Time, attitude, rate and jitter instead of the trial's.
         """
         sky = self.parameters.sky
         now = self.instant(index) if given.at_s is None else self.instant_at(float(given.at_s))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from startracker import detection as detecting
 from startracker.arguments import ABOVE_0, real_array, real_number, whole_number
 from startracker.catalog import as_catalog
 from startracker.catalog.stars import StarCatalog
-from startracker.core import FloatArray
+from startracker.core import FloatArray, IntArray
 from startracker.detection.background import Light
 from startracker.errors import InputError
 from startracker.explain import attitude_steps, hints, listed_step, search_step
@@ -22,7 +23,7 @@ from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, find_stars
 from startracker.geometry.camera import Camera, as_camera
 from startracker.identification.unknown_scale.free_scale import FOV_BANDS_DEG
-from startracker.inputs import GivenImage, clean_centroids, given_image
+from startracker.inputs import GivenImage, given_image, usable_centroids
 from startracker.observer import Observer
 from startracker.settings import CentroidSettings, DetectionSettings, IdentificationSettings
 from startracker.settings.checks import BELOW_1, settings_or_default
@@ -173,7 +174,7 @@ def _points_of_image(
         trace=trace,
     )
     if found.status is not None:
-        trace.append(hints(found.status, 0, known_camera=False))
+        trace.append(partial(hints, found.status, 0, known_camera=False))
         return Solution(found.status, found.reason, times_ms=clock.times_ms(), steps=Steps(*trace))
     rows, columns = np.shape(given.image)
     xy, flux, variance = found.stars[:3]
@@ -201,23 +202,19 @@ def _points_of_list(
     width, height = whole_number("width", width), whole_number("height", height)
     if width < 1 or height < 1:
         raise InputError(f"an image needs a size in pixels; got {width}×{height}")
-    # The cleaning uses only the size of the image; the field of view is arbitrary.
-    xy, signal = clean_centroids(source, flux, Camera.from_fov(10.0, width, height))
-    variance = None if variance_px2 is None else _variance_of(xy, source, variance_px2)
+    xy, signal, rows = usable_centroids(source, flux, width, height)
+    variance = None if variance_px2 is None else _variance_of(rows, np.size(source) // 2, variance_px2)
     return _Points(width, height, xy, signal, variance, (listed_step(np.size(source) // 2, xy, signal),))
 
 
-def _variance_of(kept: FloatArray, source: ArrayLike, variance_px2: ArrayLike) -> FloatArray:
-    """Variances of the centroids that remain after cleaning, matched by position."""
-    given = real_array("variance_px2", variance_px2, finite=False).reshape(-1)
-    points = real_array("centroids", source, finite=False)
-    if len(given) != len(points):
-        raise InputError(f"there are {len(points)} centroids, but {len(given)} variances")
-    if not (np.isfinite(given) & (given > 0.0)).all():
+def _variance_of(rows: IntArray, given: int, variance_px2: ArrayLike) -> FloatArray:
+    """Variances of the usable centroids `rows` of those given."""
+    variance = real_array("variance_px2", variance_px2, finite=False).reshape(-1)
+    if len(variance) != given:
+        raise InputError(f"there are {given} centroids, but {len(variance)} variances")
+    if not (np.isfinite(variance) & (variance > 0.0)).all():
         raise InputError("the variances of centroids must be positive numbers (px²)")
-    # In reversed order, so that of repeated positions the first one is used, as in the cleaning.
-    row = {(x, y): k for k, (x, y) in reversed(list(enumerate(points.tolist())))}
-    return given[[row[x, y] for x, y in kept.tolist()]]
+    return variance[rows]
 
 
 def _bands(fov_deg: float | None, fov_error: float) -> tuple[tuple[float, float, float], ...]:

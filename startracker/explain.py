@@ -19,17 +19,12 @@ from startracker.detection.background import Background
 from startracker.detection.spots import Spots
 from startracker.detection.tiles import sample_plane
 from startracker.geometry.camera import Camera
+from startracker.inputs import lattice_steps
 from startracker.settings import DetectionSettings
 from startracker.solution import Solution, Status
 from startracker.trace import Step
 
-_LATTICE = 32
 _FEW_STARS = 6
-
-
-def _steps(shape: tuple[int, ...]) -> tuple[int, int]:
-    """Steps of a lattice of about 32 × 32 samples."""
-    return max(1, shape[0] // _LATTICE), max(1, shape[1] // _LATTICE)
 
 
 def _extent(values: NDArray[Any]) -> tuple[float, float, float]:
@@ -37,14 +32,6 @@ def _extent(values: NDArray[Any]) -> tuple[float, float, float]:
     ordered = np.sort(values, axis=None)
     last = len(ordered) - 1
     return float(ordered[0]), 0.5 * (float(ordered[last // 2]) + float(ordered[(last + 1) // 2])), float(ordered[last])
-
-
-def image_sample(image: NDArray[Any]) -> NDArray[Any]:
-    """Copy of the values on a lattice, for `image_step`, because the caller may change the image before the text is
-    read."""
-    rows, columns = _steps(image.shape)
-    # The samples are the centres of the lattice's cells, away from the border.
-    return image[rows // 2 :: rows, columns // 2 :: columns].flatten()
 
 
 def image_step(shape: tuple[int, ...], sample: NDArray[Any], saturated_share: float, saturation_dn: float) -> Step:
@@ -62,7 +49,7 @@ def image_step(shape: tuple[int, ...], sample: NDArray[Any], saturated_share: fl
 
 def background_step(background: Background) -> Step:
     """Minimum, median and maximum of background and noise over the image."""
-    steps = _steps(background.shape)
+    steps = lattice_steps(background.shape)
     level = _extent(sample_plane(background.level_plane, *steps))
     noise = _extent(sample_plane(background.noise_plane, *steps))
     return Step("background", f"level {_range(level)} DN, noise per pixel {_range(noise)} DN (min / median / max)")
@@ -70,7 +57,7 @@ def background_step(background: Background) -> Step:
 
 def detection_steps(spots: Spots, settings: DetectionSettings, background: Background) -> tuple[Step, ...]:
     """Threshold, number of candidates kept and, if the detector counts them, number rejected for each reason."""
-    noise = _extent(sample_plane(background.noise_plane, *_steps(background.shape)))[1]
+    noise = _extent(sample_plane(background.noise_plane, *lattice_steps(background.shape)))[1]
     first = f"threshold {settings.threshold_sigma:g} σ ({settings.threshold_sigma * noise:.3g} DN above the background)"
     rejected: Mapping[str, int] = getattr(spots, "rejected", {})
     found = len(spots) + sum(rejected.values())
@@ -150,7 +137,7 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
         return ()
     length = np.hypot(*stars.residual_px.T)
     bodies = solution.bodies.name.tolist()
-    left, named = len(solution.centroids) - len(solution.stars) - len(bodies), len(solution.stars) - len(stars)
+    left, unused = len(solution.centroids) - len(solution.stars) - len(bodies), len(solution.stars) - len(stars)
     steps = [
         Step(
             "attitude",
@@ -159,8 +146,8 @@ def attitude_steps(solution: Solution) -> tuple[Step, ...]:
             f"{length.max():.3f} px ({stars.catalog_id[int(np.argmax(length))]})",
         )
     ]
-    if named:
-        steps.append(Step("attitude", f"{named} identified stars not used: residual not explained by their error"))
+    if unused:
+        steps.append(Step("attitude", f"{unused} identified stars not used: residual not explained by their error"))
     if bodies:
         steps.append(Step("attitude", f"recognised by ephemeris and not used: {', '.join(bodies)}"))
     if left:

@@ -1,9 +1,10 @@
-"""Reading of files that users name: regular files up to a limit of size; every error is one line."""
+"""Reading of files: those that users name, up to a limit of size, with errors of one line; and included tables."""
 
 from __future__ import annotations
 
 import os
 import stat
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -73,6 +74,12 @@ def read_bytes(path: str | Path, most_bytes: int, hint: str) -> bytes:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); {hint}") from error
 
 
+def included_lines(package: str, name: str) -> list[str]:
+    """Lines of a text file in the folder ``data`` of a package, without empty lines and comments (``#``)."""
+    text = (files(package) / "data" / name).read_text(encoding="utf-8")
+    return [line for line in text.splitlines() if line and not line.startswith("#")]
+
+
 def read_stream(stream: BinaryIO, most_bytes: int, name: str, hint: str) -> bytes:
     """Content of a stream of at most `most_bytes`; for more, `InputError` with a message that begins with `name`."""
     # One byte more than allowed shows that there is more.
@@ -85,7 +92,7 @@ def read_stream(stream: BinaryIO, most_bytes: int, name: str, hint: str) -> byte
 def read_text(path: str | Path, most_bytes: int, hint: str) -> str:
     """Text of a UTF-8 file, with or without a byte-order mark.
 
-    Parameters and errors are those of `check_file`; also `InputError` if the file is not text.
+    Parameters and errors as for `check_file`; also `InputError` if the file is not text.
     """
     return as_text(read_bytes(path, most_bytes, hint), path, hint)
 
@@ -101,7 +108,7 @@ def as_text(data: bytes, path: str | Path, hint: str) -> str:
 def read_yaml(path: str | Path, hint: str) -> Any:
     """Plain values of a YAML file of settings.
 
-    Errors are those of `check_file`; also `InputError` for content that is not YAML or is nested too deeply.
+    Errors as for `check_file`; also `InputError` for content that is not YAML or is nested too deeply.
     """
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError

@@ -16,15 +16,14 @@ from startracker.core import FloatArray
 from startracker.detection import Background, Detector, estimate
 from startracker.detection.artefacts import fill_gaps, has_crowd, mask_impulses
 from startracker.detection.background import Light, follow_structure, has_structure
-from startracker.detection.components import find_trailed
+from startracker.detection.components import find_trailed, trails_win
 from startracker.detection.forms import motion_at
 from startracker.detection.spots import Spots
-from startracker.detection.trailed import trails_win
 from startracker.detection.values import Image
 from startracker.errors import InputError
-from startracker.explain import background_step, centroid_step, detection_steps, image_sample, image_step
+from startracker.explain import background_step, centroid_step, detection_steps, image_step
 from startracker.geometry.camera import Camera
-from startracker.inputs import CheckedImage, GivenImage, check_image, saturation_message
+from startracker.inputs import CheckedImage, GivenImage, check_image, image_sample, saturation_message
 from startracker.settings import CentroidSettings, DetectionSettings
 from startracker.solution import Status
 from startracker.trace import Step, Trace

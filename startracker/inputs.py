@@ -16,7 +16,6 @@ from startracker.detection.artefacts import mask_extremes
 from startracker.detection.values import Image, as_pixels, whole_range
 from startracker.display import fields_repr
 from startracker.errors import InputError
-from startracker.geometry.camera import Camera
 from startracker.observer import Observer, observer_of
 from startracker.sorting import order_of_columns
 
@@ -195,6 +194,22 @@ def check_image(
     return CheckedImage(pixels, lowest, highest, full / pixels.size, level, masked, gaps or masked > 0), ""
 
 
+_LATTICE = 32
+"""Samples of an image along each axis, about a thousand, of which an explanation is made."""
+
+
+def lattice_steps(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Rows and columns from one sample of an image to the next."""
+    return max(1, shape[0] // _LATTICE), max(1, shape[1] // _LATTICE)
+
+
+def image_sample(image: NDArray[Any]) -> NDArray[Any]:
+    """Copy of the values on a lattice, for an explanation that is read after the caller has changed the image."""
+    rows, columns = lattice_steps(image.shape)
+    # The samples are the centres of the lattice's cells, away from the border.
+    return image[rows // 2 :: rows, columns // 2 :: columns].flatten()
+
+
 def saturation_message(share: float, level: float) -> str:
     """Reason text for a saturated image."""
     return f"{100 * share:.0f} % of the pixels are at or above {level:g}: saturated; shorten the exposure"
@@ -205,19 +220,13 @@ SAME_STAR_PX = 0.75
 _NO_FLUX = np.empty(0)
 
 
-def clean_centroids(xy: ArrayLike, flux: ArrayLike | None, camera: Camera) -> tuple[FloatArray, FloatArray | None]:
-    """Usable centroids (N, 2), brightest first, and their flux, see `usable_centroids`."""
-    points, signal, _ = usable_centroids(xy, flux, camera)
-    return points, signal
-
-
 def usable_centroids(
-    xy: ArrayLike, flux: ArrayLike | None, camera: Camera
+    xy: ArrayLike, flux: ArrayLike | None, width: int, height: int
 ) -> tuple[FloatArray, FloatArray | None, IntArray]:
     """Usable centroids (M, 2), brightest first, their flux, and their indices in the list.
 
-    Usable are finite positions on the image, without duplicates. A star whose flux is not a positive number counts as
-    the faintest.
+    Usable are finite positions on an image of this size, without duplicates. A star whose flux is not a positive number
+    counts as the faintest.
     """
     try:
         points = np.array(real_array("centroids", plain(xy), finite=False), order="C")
@@ -230,7 +239,7 @@ def usable_centroids(
         raise InputError(f"centroids must have the shape (N, 2), columns x and y; got {points.shape}")
     if flux is not None and len(signal) != len(points):
         raise InputError(f"there are {len(points)} centroids, but {len(signal)} fluxes")
-    usable, brightness, rows = _usable(points, signal, camera.width, camera.height)
+    usable, brightness, rows = _usable(points, signal, width, height)
     known = flux is not None and len(brightness) == len(rows)
     return usable, brightness if known else None, rows
 

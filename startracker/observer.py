@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from startracker._compiled import kernel_part
-from startracker.arguments import of_kind, real_array, real_number
+from startracker.arguments import is_time, julian_year, of_kind, plain, real_array, real_number
 from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray
 from startracker.display import described
 from startracker.ephemeris import barycentric, timescale
 from startracker.errors import InputError
-from startracker.interop import is_time, julian_year, plain
 
 EARTH_KM_S, ORBIT_KM_S = 29.8, 7.6
 """Orbital speeds of the Earth, and of a satellite in a low Earth orbit, km/s."""

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arguments import of_kind, real_array
+from startracker.arguments import is_skycoord, of_kind, real_array
 from startracker.catalog.bodies import NO_BODIES, SeenBodies
 from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.display import angle_text, described, html_card, quantity_range, star_chart
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.geometry.camera import Camera
-from startracker.interop import is_skycoord
 from startracker.observer import Observer, aberrate, corrects_aberration
 from startracker.trace import Step
 
@@ -342,7 +341,7 @@ class Solution:
             If the field is not solved or the shape of the array is wrong.
         """
         attitude, camera = self._placed()
-        seen = attitude.inverse.apply(camera.unproject(_two_columns(xy, "pixels")))
+        seen = attitude.inverse.apply(camera.unproject(xy))
         velocity = self._velocity_km_s(observer)
         if velocity is not None:
             # Aberration is a Lorentz boost; the opposite velocity inverts it.
@@ -395,10 +394,3 @@ class Solution:
         if self.attitude is None or self.camera is None:
             raise InputError(f"a field that is not solved has no coordinates ({self.status}: {self.reason})")
         return self.attitude, self.camera
-
-
-def _two_columns(values: ArrayLike, what: str) -> FloatArray:
-    table = np.atleast_2d(real_array(what, values, finite=False))
-    if table.ndim != 2 or table.shape[1] != 2:
-        raise InputError(f"{what} must have the shape (N, 2), columns x and y; got {np.shape(values)}")
-    return table

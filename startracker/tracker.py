@@ -25,16 +25,26 @@ from startracker.core import FloatArray, IntArray
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.field_fit import Estimator, takes_field
-from startracker.estimation.refine_stars import selected, stated_errors
 from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
-from startracker.field_solution import Field, solution_of
+from startracker.field_solution import (
+    Field,
+    explains_bright_stars,
+    flux_of_stars,
+    identify_around,
+    misfit_px,
+    selected,
+    solution_of,
+    stated_errors,
+    strongest,
+    trail_fragments_possible,
+    unsolved,
+)
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, FoundStars, star_hypotheses
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera, as_camera
 from startracker.identification.about_knot import about_knot
 from startracker.identification.acceptance import accepts, passes_confirmation_threshold
-from startracker.identification.around_prior import identify_around
 from startracker.identification.observed import Identification, Observed, Prior, as_prior, usable_directions
 from startracker.identification.unknown_scale.free_scale import FEWEST_MATCHED
 from startracker.inputs import (
@@ -53,7 +63,6 @@ from startracker.settings.registry import lookup
 from startracker.solution import Solution, Status
 from startracker.trace import Step, Steps, Trace
 from startracker.unexplained import Fitted, reason_to_refuse
-from startracker.whole_field import explains_bright_stars, misfit_px, strongest, trail_fragments_possible
 
 
 class StarTracker:
@@ -172,8 +181,8 @@ class StarTracker:
         hypotheses = star_hypotheses(given, *stages, clock, self.camera, trace)
         found = next(hypotheses)
         if found.status is not None:
-            trace.append(hints(found.status, 0, known_camera=True))
-            return replace(self._unsolved(found.status, found.reason, clock), steps=Steps(*trace))
+            trace.append(partial(hints, found.status, 0, known_camera=True))
+            return replace(unsolved(self.camera, found.status, found.reason, clock), steps=Steps(*trace))
         hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
         solution, found = self._best_hypothesis(chain((found,), hypotheses), hint, given.observer, clock, trace)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
@@ -181,7 +190,9 @@ class StarTracker:
             solution = replace(solution, status=Status.SATURATED, reason=reason)
         seen, saturated = len(found.stars.xy), found.saturated
         trace.append(partial(attitude_steps, solution))
-        trace.append(hints(solution.status, seen, known_camera=True, saturated=saturated, settings=self.detection))
+        trace.append(
+            partial(hints, solution.status, seen, known_camera=True, saturated=saturated, settings=self.detection)
+        )
         return replace(solution, steps=Steps(*trace))
 
     def solve_centroids(
@@ -217,7 +228,7 @@ class StarTracker:
             If the shapes of the arrays do not match or an error is not positive.
         """
         clock, observer = Clock(), observer_of(observer, time)
-        points, signal, rows = usable_centroids(xy, flux, self.camera)
+        points, signal, rows = usable_centroids(xy, flux, self.camera.width, self.camera.height)
         given = np.size(xy) // 2
         trace: Trace = [partial(listed_step, given, points, signal)]
         guide, variance = self.guide.apparent_to(observer), stated_variance(sigma_px, given, rows)
@@ -227,7 +238,7 @@ class StarTracker:
         if left_out and not solution.solved:
             reason = f"{reason} ({left_out} centroids not finite, outside the image or repeated)"
         trace.append(partial(attitude_steps, solution))
-        trace.append(hints(solution.status, len(points), known_camera=True))
+        trace.append(partial(hints, solution.status, len(points), known_camera=True))
         return replace(solution, reason=reason, steps=Steps(*trace))
 
     # ------------------------------------------------------------------ points or trails
@@ -250,7 +261,7 @@ class StarTracker:
         for found in hypotheses:
             solution = self._solve(found.stars, prior, observer, guide, clock, trace)
             tried.append((found, solution))
-            flux = _flux_of_stars(found, solution)
+            flux = flux_of_stars(found, solution)
             if solution.solved and explains_bright_stars(solution, flux, guide, found.trailed):
                 break
         found, solution = strongest(tried)
@@ -258,11 +269,11 @@ class StarTracker:
         operations, trailed = sum(one.operations for _, one in tried), any(one.trailed for one, _ in tried)
         if found.trailed:
             return replace(solution, operations=operations), found
-        flux = _flux_of_stars(found, solution)
+        flux = flux_of_stars(found, solution)
         if solution.solved and trail_fragments_possible(solution, flux, guide, trailed):
             trace.append(partial(attitude_steps, solution))
             within = f"residuals of {misfit_px(solution):.1f} px and unmatched bright stars suggest fragments of trails"
-            refused = self._unsolved(Status.NO_MATCH, f"{solution.reason}; but {within}", clock, found.stars.xy)
+            refused = unsolved(self.camera, Status.NO_MATCH, f"{solution.reason}; but {within}", clock, found.stars.xy)
             return replace(refused, operations=operations), found
         reason = solution.reason
         if trailed and not solution.solved and accepts(solution.log_false_alarm, self.identification):
@@ -300,13 +311,15 @@ class StarTracker:
             ):
                 return replace(free_fit, times_ms=clock.times_ms(), operations=found.operations)
         if found.status is not Status.SOLVED:
-            return self._unsolved(found.status, found.reason, clock, stars.xy, found.log_false_alarm, found.operations)
+            return unsolved(
+                self.camera, found.status, found.reason, clock, stars.xy, found.log_false_alarm, found.operations
+            )
         field = Field(stars, usable, directions, guide, observer)
         try:
             solution = self._checked(found, observed, field, prior, clock, trace)
         except InputError as error:  # the estimator does not support this field, as plate constants a mirrored one
             reason = f"{found.reason}; but the estimator failed: {error}"
-            return self._unsolved(Status.NO_MATCH, reason, clock, stars.xy)
+            return unsolved(self.camera, Status.NO_MATCH, reason, clock, stars.xy)
         return replace(solution, prior_contradicted=True) if contradicted else solution
 
     def _checked(
@@ -333,7 +346,7 @@ class StarTracker:
                 outside = prior is not None and not prior.allows(fit.matrix)
                 return replace(other, prior_contradicted=outside)
         reason, chance = f"{solution.reason}; but {refusal}", solution.log_false_alarm
-        return self._unsolved(Status.NO_MATCH, reason, clock, field.stars.xy, chance, again.operations)
+        return unsolved(self.camera, Status.NO_MATCH, reason, clock, field.stars.xy, chance, again.operations)
 
     def _refusal(self, solution: Solution, fit: Fitted, field: Field) -> str:
         """Why a solution is refused (`reason_to_refuse`); empty if it is not."""
@@ -374,31 +387,3 @@ class StarTracker:
         directions, usable, vectors, sigma = usable_directions(stars.xy, stated, camera.pixel_rad, camera.image_map)
         signal = None if stars.flux is None else stars.flux[usable[:most]]
         return Observed(vectors[:most], signal, sigma[:most]), usable, directions
-
-    def _unsolved(
-        self,
-        status: Status,
-        reason: str,
-        clock: Clock,
-        xy: FloatArray | None = None,
-        log_false_alarm: float = 0.0,
-        operations: int = 0,
-    ) -> Solution:
-        """Solution without an attitude, of these centroids."""
-        return Solution(
-            status,
-            reason,
-            centroids=np.empty((0, 2)) if xy is None else xy,
-            fov_deg=self.camera.fov_deg,
-            parity=self.camera.parity,
-            times_ms=clock.times_ms(),
-            camera=self.camera,
-            log_false_alarm=log_false_alarm,
-            operations=operations,
-        )
-
-
-def _flux_of_stars(found: FoundStars, solution: Solution) -> FloatArray:
-    """Signal of the centroids, without those of bodies of the solar system."""
-    assert found.stars.flux is not None
-    return solution.without_bodies(found.stars.flux)

@@ -280,7 +280,6 @@ AREAS = {
     ),
     "attitude": Area(
         (
-            "startracker/whole_field.py",
             "startracker/estimation/*.py",
             "startracker/field_solution.py",
             "startracker/solution.py",
@@ -299,7 +298,7 @@ AREAS = {
             "unit/test_unexplained*",
             "unit/test_other_stars",
             "unit/test_image_errors",
-            "unit/test_whole_field",
+            "unit/test_field_solution",
             "unit/test_best_evidence",
         ),
     ),

@@ -18,7 +18,7 @@ from startracker import Attitude, Observer, StarTracker, TrackingSession, load_c
 from startracker.catalog import guide as guides
 from startracker.centroid import METHODS as CENTROIDERS
 from startracker.detection import METHODS as DETECTORS
-from startracker.estimation.refine_stars import STATED_PX
+from startracker.field_solution import STATED_PX
 from startracker.front_end import Clock, find_stars
 from startracker.identification import METHODS
 from startracker.identification.observed import Observed

@@ -10,10 +10,10 @@ from simulator.cli.checks import at_least, processes
 from simulator.cli.requests import RunRequest
 from simulator.cli.terminal import open_console, print_table, progress_bar
 from simulator.cli.verdicts import outcome_line, print_inconsistency, print_judgement
+from simulator.study.axes import AXES, BODY_AXES, axis_name
 from simulator.study.pages.parts import unphysical_notes
 from simulator.study.run import RESULT_FILES, Study, run
-from simulator.study.statistics import AXES, BODY_AXES
-from simulator.study.texts import axis_name, deg_text
+from simulator.study.texts import deg_text
 from startracker.errors import InputError
 
 if TYPE_CHECKING:

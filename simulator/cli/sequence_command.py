@@ -10,13 +10,13 @@ from simulator.cli.checks import at_least
 from simulator.cli.requests import RunRequest
 from simulator.cli.terminal import open_console, print_table, progress_bar
 from simulator.cli.verdicts import outcome_cell, outcome_line, print_inconsistency, print_judgement
+from simulator.study.axes import AXES, BODY_AXES, axis_name
 from simulator.study.pages.parts import unphysical_notes
 from simulator.study.sequence.animation import find_ffmpeg
 from simulator.study.sequence.result import Sequence
 from simulator.study.sequence.run import run_sequence
 from simulator.study.sequence.statistics import consistency_text
-from simulator.study.statistics import AXES, BODY_AXES
-from simulator.study.texts import axis_name, deg_text
+from simulator.study.texts import deg_text
 from startracker.errors import InputError
 
 if TYPE_CHECKING:

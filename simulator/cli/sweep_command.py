@@ -15,7 +15,7 @@ from simulator.cli.requests import SweepRequest
 from simulator.cli.terminal import WorkBar, open_console, print_table
 from simulator.cli.verdicts import coloured, outcome_cell
 from simulator.paths import write_atomically
-from simulator.study.statistics import BODY_AXES
+from simulator.study.axes import BODY_AXES
 from simulator.study.sweep.files import RESULT_FILES
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class SweepProgress(WorkBar):
 
 
 def _print(sweep: Sweep, console: Console) -> None:
-    from simulator.study.sweep.texts import rate_text, rms_text, value_text
+    from simulator.study.texts import rate_text, rms_text, value_text
 
     table = sweep.table
     done = [point for point in table["points"] if "statistics" in point]
@@ -114,7 +114,7 @@ def compare_runs(folders: list[str], out: Path) -> int:
     from simulator.study.pages.html import html_of
     from simulator.study.sweep.compare import compare
     from simulator.study.sweep.comparison_page import comparison_page
-    from simulator.study.sweep.texts import rate_text, rms_text, value_text
+    from simulator.study.texts import rate_text, rms_text, value_text
 
     comparison = compare(folders)
     write_atomically(out, html_of(comparison_page(comparison)))

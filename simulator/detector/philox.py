@@ -14,23 +14,16 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from simulator.randomness import Key
 from startracker._compiled import kernel_part
 
 Bits = NDArray[np.uint32]
-Key = NDArray[np.uint64]
 
 _MULTIPLY_0, _MULTIPLY_1 = 0xD2511F53, 0xCD9E8D57
 _WEYL_0, _WEYL_1 = 0x9E3779B9, 0xBB67AE85
 _LOW, _ROUNDS = 0xFFFFFFFF, 10
 _HALF = np.uint64(32)
 _FRACTION_SHIFT, _UNIT = np.uint64(11), 2.0**-53
-
-
-def draw_key(rng: np.random.Generator) -> Key:
-    """Key (2,) uint64 of a counter-based stream: the lower and upper half of the next 64 bits of the stream `rng`. For
-    an unused stream these are its first two `integers` of 32 bits."""
-    bits: int = rng.bit_generator.random_raw()
-    return np.array([bits & 0xFFFFFFFF, bits >> 32], dtype=np.uint64)
 
 
 @intrinsic

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from simulator.detector.charge import clip, collect
 from simulator.detector.gaussian import add_gaussian
-from simulator.detector.philox import Key, draw_key, fill_bits
+from simulator.detector.philox import fill_bits
 from simulator.detector.poisson import LARGEST_MEAN, shot_noise
 from simulator.detector.readout import amplify, bend, convert
 from simulator.detector.steps import (
@@ -31,7 +31,7 @@ from simulator.detector.steps import (
     Step,
     begin,
 )
-from simulator.randomness import Streams
+from simulator.randomness import Key, Streams, draw_key
 from startracker._compiled import kernel
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError

@@ -23,8 +23,9 @@ import math
 import numpy as np
 
 from simulator.detector.gaussian import TAIL, WORD, gaussian_from_bits, tail_words, upper_quantile
-from simulator.detector.philox import Bits, Key, further_bits
+from simulator.detector.philox import Bits, further_bits
 from simulator.detector.simd import BLOCK, fma, outside, polynomial, singles
+from simulator.randomness import Key
 from startracker._compiled import kernel, kernel_part
 from startracker.core import FloatArray, SingleArray
 

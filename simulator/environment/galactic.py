@@ -1,7 +1,7 @@
 """Galactic cosmic rays near the Earth: protons and helium in the force-field approximation, with the cut-off of a
 dipole.
 
-The local interstellar spectrum and its modulation are those of Usoskin et al. 2005 (JGR 110, A12108,
+The local interstellar spectrum and its modulation follow Usoskin et al. 2005 (JGR 110, A12108,
 after Burger et al. 2000); helium is 5 % of the particles at the same energy per nucleon. A particle reaches a position
 if its rigidity exceeds Störmer's vertical cut-off of the tilted centred dipole, R_c = 14.9 GV cos⁴λ / (r/R)² (Smart &
 Shea 2005, Adv. Space Res. 36, 2012). The Earth hides the directions below its horizon. Neglected: the penumbra, the

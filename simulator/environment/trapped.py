@@ -6,7 +6,7 @@ epoch 1970. With today's weaker field the flux at low altitude would be several 
 Atlantic Anomaly has since drifted to the west by 0.3° per year, positions are rotated to the east by the drift since
 that epoch, as in UNILIB.
 
-Maps and field models are those of IRBEM, through the package aep8.
+Maps and field models are taken from IRBEM, through the package aep8.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from simulator.constants import RADIUS_KM
 from simulator.live.mrp import attitude_of_mrp, euler_parameters, mrp_of_attitude
 from simulator.mission.clock import Clock
 from simulator.mission.frames import to_frame
@@ -22,9 +23,8 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.schema import SequenceSection
-from simulator.sky.solar_system import RADIUS_KM
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.sequence.camera import Moment, SequenceCamera, TrackedFrame
-from simulator.study.statistics import CAMERA_AXES
 from startracker.core import FloatArray
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
@@ -88,7 +88,7 @@ class CameraStarTracker(sysModel.SysModel):  # type: ignore[misc]
         that ``icrf`` is right for states of SPICE; ``eme2000`` is the mean equator and equinox of J2000, 23 mas away.
     centre : str, optional
         Origin of Basilisk's positions, one of `simulator.mission.trajectory.CENTRES`. None: the spacecraft's position
-        and velocity are those of the scenario's orbit, for spacecraft without gravity.
+        and velocity follow the scenario's orbit, for spacecraft without gravity.
     latency_s : float
         Time from the end of an exposure to the message.
 

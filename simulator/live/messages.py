@@ -21,7 +21,7 @@ from simulator.live.images import Encoded
 from simulator.live.mission import LiveFrame, LiveMission
 from simulator.live.protocol import COMMANDS, PROTOCOL
 from simulator.renderer import Renderer
-from simulator.study.statistics import CAMERA_AXES
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.trackers import Session
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources
 from startracker._version import __version__

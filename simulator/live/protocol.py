@@ -1,7 +1,7 @@
 """Messages of the clients of a live mission, version 1: their fields, units and limits.
 
 Clients send one JSON object a message; `parse` gives it as one of the classes of `ClientMessage`, or raises `Refused`
-with a code and a reason in one line. The server's messages are those of `simulator.live.answers`.
+with a code and a reason in one line. The server's messages are in `simulator.live.answers`.
 Angles are in degrees, times in seconds after the scenario's epoch, quaternions scalar last, ICRS to camera. A value
 that is not defined (an attitude that was not solved) is null.
 """

@@ -17,6 +17,7 @@ from simulator.mission.clock import Clock
 from simulator.mission.frames import to_frame
 from simulator.mission.interpolation import StateTable
 from simulator.mission.pointing import level_matrices
+from simulator.mission.spinning import LARGEST_STEP_DEG
 from simulator.mission.tables import read_rows
 from simulator.mission.tabulated import RESOLUTION_S, Part, piecewise
 from simulator.mission.trajectory import Trajectory
@@ -29,8 +30,6 @@ LOCAL_LEVEL = "local_level"
 LENGTH_TOLERANCE = 1e-3
 """Deviation of a quaternion's length from 1 that is accepted as the rounding of a file with few decimals."""
 _BORESIGHT_TOLERANCE_DEG = 0.01
-LARGEST_STEP_DEG = 170.0
-"""Maximum rotation between two attitudes of a table; beyond 180° its direction would be ambiguous."""
 
 
 class Interpolation(Protocol):

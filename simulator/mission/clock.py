@@ -8,10 +8,9 @@ from typing import Any, overload
 
 import erfa
 
-from startracker.arguments import real_number
+from startracker.arguments import is_time, real_number
 from startracker.core import DAYS_PER_JULIAN_YEAR, J2000_JD_TT, FloatArray
 from startracker.errors import InputError
-from startracker.interop import is_time
 
 SECONDS_PER_DAY = 86_400.0
 FIRST_YEAR_OF_UTC = 1960

@@ -41,7 +41,7 @@ def elapsed_s(clock: Clock, texts: Sequence[str], scale: str, positions: Sequenc
 
     Notes
     -----
-    The resolution is that of the two-part Julian date of the scenario's epoch, 0.02 ns, and of a float of seconds:
+    The resolution is limited by the two-part Julian date of the scenario's epoch, 0.02 ns, and of a float of seconds:
     4 ns after a year. TDB by ERFA's ``dtdb`` at the geocentre; UT1 by Skyfield's table.
     """
     scale = {"TDT": "TT"}.get(scale.upper(), scale.upper())

@@ -94,20 +94,14 @@ class MeanElementsOrbit:
         t = np.asarray(t_s, dtype=float)
         what = f"{self.elements.position}: the set of elements with orbit.max_age_days = {self.max_age_days:g}"
         refuse_outside(self.clock, t, self.span_s, what)
-        satellite = _satellite(self.elements)
-        # SGP4 subtracts the epoch of the elements again, so only elapsed SI seconds matter, and leap seconds do not.
-        days = satellite.jdsatepochF + (t.ravel() - self._epoch_s) / SECONDS_PER_DAY
-        error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
-        if error.any():
-            from sgp4.api import SGP4_ERRORS
-
-            raise InputError(f"{self.elements.position}: SGP4 stops: {SGP4_ERRORS[int(error[error != 0][0])]}")
-        matrix = teme(self.clock, t)
-        return to_gcrs(matrix, position.reshape(*t.shape, 3)), to_gcrs(matrix, velocity.reshape(*t.shape, 3))
+        try:
+            return sgp4_state(_satellite(self.elements), self.clock, t, self._epoch_s)
+        except InputError as error:
+            raise InputError(f"{self.elements.position}: SGP4 stops: {error}") from None
 
 
 def epoch_s(elements: MeanElements, clock: Clock) -> float:
-    """Epoch of a set of elements, SI seconds after that of a clock."""
+    """Epoch of a set of elements, SI seconds after the clock's epoch."""
     # Elements count days of 86,400 s, whereas ERFA's quasi Julian date stretches a day that has a leap second, so
     # TAI − UTC is added explicitly. A leap second itself has a day fraction of 1 or more, and belongs to the day it
     # ends.
@@ -127,23 +121,87 @@ def _satellite(elements: MeanElements) -> Any:
 
 def sgp4_record(elements: MeanElements) -> Any:
     """SGP4's record of a set of elements, python-sgp4's ``Satrec``."""
-    from sgp4.api import WGS72, Satrec
-
-    satellite = Satrec()
     day, part = elements.epoch_jd
+    return sgp4_satellite(
+        "WGS72",
+        (day - SGP4_EPOCH_JD) + part,
+        mean_motion_rad_min=elements.mean_motion_rad_min,
+        inclination_rad=elements.inclination_rad,
+        node_rad=elements.node_rad,
+        mean_anomaly_rad=elements.mean_anomaly_rad,
+        eccentricity=elements.eccentricity,
+        periapsis_rad=elements.periapsis_rad,
+        bstar=elements.bstar,
+    )
+
+
+def sgp4_satellite(
+    gravity: str,
+    epoch_days: float,
+    *,
+    mean_motion_rad_min: float,
+    inclination_rad: float,
+    node_rad: float,
+    mean_anomaly_rad: float,
+    eccentricity: float = 0.0,
+    periapsis_rad: float = 0.0,
+    bstar: float = 0.0,
+) -> Any:
+    """SGP4's record of elements as in `MeanElements`, circular and without drag by default.
+
+    Parameters
+    ----------
+    gravity : str
+        The constants: ``WGS72``, with which published elements are made, or ``WGS84``.
+    epoch_days : float
+        Epoch of the elements, days after `SGP4_EPOCH_JD`.
+    """
+    from sgp4 import api
+
+    satellite = api.Satrec()
     satellite.sgp4init(
-        WGS72,
+        getattr(api, gravity),
         "i",  # SGP4's improved mode of operation
         0,  # catalogue number, which has no effect on the propagation
-        (day - SGP4_EPOCH_JD) + part,
-        elements.bstar,
+        epoch_days,
+        bstar,
         0.0,  # first and second derivative of the mean motion, which SGP4 does not use
         0.0,
-        elements.eccentricity,
-        elements.periapsis_rad,
-        elements.inclination_rad,
-        elements.mean_anomaly_rad,
-        elements.mean_motion_rad_min,
-        elements.node_rad,
+        eccentricity,
+        periapsis_rad,
+        inclination_rad,
+        mean_anomaly_rad,
+        mean_motion_rad_min,
+        node_rad,
     )
     return satellite
+
+
+def sgp4_state(satellite: Any, clock: Clock, t_s: FloatArray, epoch_s: float) -> tuple[FloatArray, FloatArray]:
+    """Position (..., 3), km, and velocity (..., 3), km/s, in GCRS at seconds `t_s` of the clock.
+
+    Parameters
+    ----------
+    satellite : sgp4.api.Satrec
+        SGP4's record.
+    clock : Clock
+        Gives the rotation from TEME.
+    t_s : array
+        Times, seconds after the clock's epoch.
+    epoch_s : float
+        Epoch of the elements, seconds after the clock's epoch.
+
+    Raises
+    ------
+    InputError
+        SGP4's reason, if it stops (a decayed orbit, diverging elements).
+    """
+    # SGP4 subtracts the epoch of the elements again, so only elapsed SI seconds matter, and leap seconds do not.
+    days = satellite.jdsatepochF + (t_s.ravel() - epoch_s) / SECONDS_PER_DAY
+    error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
+    if error.any():
+        from sgp4.api import SGP4_ERRORS
+
+        raise InputError(SGP4_ERRORS[int(error[error != 0][0])])
+    matrix = teme(clock, t_s)
+    return to_gcrs(matrix, position.reshape(*t_s.shape, 3)), to_gcrs(matrix, velocity.reshape(*t_s.shape, 3))

@@ -160,7 +160,7 @@ class BodyMotion:
         self._before_s = 0.0
 
     def at(self, now_s: float) -> MotionState:
-        """State without jitter at a time, s after the first frame, which must not be before that of the last call."""
+        """State without jitter at a time, s after the first frame, and not before the time of the last call."""
         if now_s > self._before_s:
             self._turned = self.profile.turn(self._before_s, now_s) @ self._turned
         self._before_s, t_s = now_s, self._start_s + now_s

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 
 from simulator.constants import EARTH_J2, EARTH_RADIUS_KM
 from simulator.mission.clock import SECONDS_PER_DAY, Clock
-from simulator.mission.frames import equation_of_equinoxes, raan_of_local_time, teme, to_gcrs, true_of_date
+from simulator.mission.frames import equation_of_equinoxes, raan_of_local_time, to_gcrs, true_of_date
+from simulator.mission.mean_elements import sgp4_satellite, sgp4_state
 from simulator.mission.parameters import OrbitParameters
 from simulator.mission.secular import (
     CircularElements,
@@ -169,19 +170,13 @@ class Sgp4Orbit:
         `InputError` if SGP4 reports an error (an orbit below the surface, diverging elements).
         """
         t = np.asarray(t_s, dtype=float)
-        satellite = _satellite(self.elements, self.clock)
-        # SGP4 subtracts the epoch of the elements again, so only elapsed SI seconds matter, and leap seconds do not.
-        days = satellite.jdsatepochF + t.ravel() / SECONDS_PER_DAY
-        error, position, velocity = satellite.sgp4_array(np.full(days.shape, satellite.jdsatepoch), days)
-        if error.any():
-            from sgp4.api import SGP4_ERRORS
-
+        try:
+            return sgp4_state(_satellite(self.elements, self.clock), self.clock, t, 0.0)
+        except InputError as error:
             raise InputError(
-                f"orbit: SGP4 cannot propagate this orbit ({SGP4_ERRORS[int(error[error != 0][0])]}); "
-                "change orbit.altitude_km or set orbit.propagator: j2"
-            )
-        matrix = teme(self.clock, t)
-        return to_gcrs(matrix, position.reshape(*t.shape, 3)), to_gcrs(matrix, velocity.reshape(*t.shape, 3))
+                f"orbit: SGP4 cannot propagate this orbit ({error}); change orbit.altitude_km or set "
+                "orbit.propagator: j2"
+            ) from None
 
 
 PROPAGATORS: dict[str, Callable[[CircularElements, Clock], Orbit]] = {"j2": J2Orbit, "sgp4": Sgp4Orbit}
@@ -258,25 +253,13 @@ def _kozai_mean_motion(elements: CircularElements) -> float:
 @functools.lru_cache(maxsize=64)
 def _satellite(elements: CircularElements, clock: Clock) -> Any:
     """SGP4's record of an orbit, cached here because it cannot be pickled."""
-    from sgp4.api import WGS84, Satrec
-
     # TEME measures the node from the mean equinox, the elements from the true one.
     node = elements.raan_rad - float(equation_of_equinoxes(clock, 0.0, true_of_date(clock, 0.0)))
-    satellite = Satrec()
-    epoch_days = (clock.epoch - datetime(1949, 12, 31, tzinfo=UTC)).total_seconds() / SECONDS_PER_DAY
-    satellite.sgp4init(
-        WGS84,
-        "i",  # SGP4's improved mode of operation
-        0,  # satellite number
-        epoch_days,
-        0.0,  # B*: no drag
-        0.0,  # first and second derivative of the mean motion, which SGP4 does not use
-        0.0,
-        0.0,  # eccentricity
-        0.0,  # argument of perigee, so that the mean anomaly is measured from the node
-        elements.inclination_rad,
-        elements.argument_of_latitude_rad,
-        60.0 * _kozai_mean_motion(elements),
-        node % (2.0 * math.pi),
+    return sgp4_satellite(
+        "WGS84",
+        (clock.epoch - datetime(1949, 12, 31, tzinfo=UTC)).total_seconds() / SECONDS_PER_DAY,
+        mean_motion_rad_min=60.0 * _kozai_mean_motion(elements),
+        inclination_rad=elements.inclination_rad,
+        node_rad=node % (2.0 * math.pi),
+        mean_anomaly_rad=elements.argument_of_latitude_rad,  # from the node, as the argument of perigee is 0
     )
-    return satellite

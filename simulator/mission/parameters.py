@@ -103,7 +103,7 @@ class OrbitParameters:
 
     @property
     def source(self) -> str:
-        """The key that defines the orbit: ``circular``, ``elements``, ``state`` or that of a file."""
+        """The key that defines the orbit: ``circular``, ``elements``, ``state`` or the key of a file."""
         return next(iter(self.sources), "circular")
 
     @property

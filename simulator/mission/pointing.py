@@ -72,9 +72,14 @@ def mounting_of(parameters: PointingParameters) -> Attitude:
     InputError
         For an unknown name, or a quaternion that is zero.
     """
-    if isinstance(parameters.mounting, str):
-        return lookup("mountings", MOUNTINGS, parameters.mounting)
-    return Attitude(np.array(parameters.mounting), "body", "camera")
+    return _mounting_of(parameters.mounting)
+
+
+@functools.lru_cache(maxsize=16)
+def _mounting_of(mounting: str | tuple[float, ...]) -> Attitude:
+    if isinstance(mounting, str):
+        return lookup("mountings", MOUNTINGS, mounting)
+    return Attitude(np.array(mounting), "body", "camera")
 
 
 def local_level(r_km: ArrayLike, v_km_s: ArrayLike) -> Attitude:

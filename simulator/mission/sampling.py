@@ -10,12 +10,10 @@ import math
 
 import numpy as np
 
+from simulator.constants import TROPICAL_YEAR_S
 from simulator.randomness import stream
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-
-TROPICAL_YEAR_S = 365.2422 * 86_400.0
-"""Tropical year, in which a sun-synchronous node completes one revolution; Explanatory Supplement 2013."""
 
 _GOLDEN = 0.618_033_988_749_894_9
 """(√5 − 1)/2: multiples of it modulo 1 are the most evenly spaced sequence of points."""

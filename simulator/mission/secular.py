@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
-from simulator.mission.sampling import TROPICAL_YEAR_S
+from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM, TROPICAL_YEAR_S
 from startracker.errors import InputError
 
 MEAN_SUN_RATE_RAD_S = 2.0 * math.pi / TROPICAL_YEAR_S
@@ -54,6 +53,16 @@ def latitude_rate(semi_major_axis_km: float, inclination_rad: float) -> float:
     return mean_motion(semi_major_axis_km) * (1.0 + 0.75 * oblateness * (6.0 - 8.0 * sin2))
 
 
+def sun_synchronous_limit_km() -> float:
+    """Maximum altitude of a circular sun-synchronous orbit, at which the nodal precession suffices at i = 180°.
+
+    `nodal_rate` solved for a at 360° per tropical year: a^(7/2) = (3/2) J₂ R² √μ / Ω̇ (Vallado 2013, chapter 9).
+    """
+    rate = EARTH_J2 * EARTH_RADIUS_KM**2 * math.sqrt(EARTH_GM_KM3_S2) / MEAN_SUN_RATE_RAD_S
+    a_km: float = (1.5 * rate) ** (2.0 / 7.0)
+    return a_km - EARTH_RADIUS_KM
+
+
 def sun_synchronous_inclination(semi_major_axis_km: float) -> float:
     """Inclination, radians, at which the node follows the mean Sun.
 
@@ -67,10 +76,9 @@ def sun_synchronous_inclination(semi_major_axis_km: float) -> float:
     # `nodal_rate` at i = 0 is the factor of cos i, and is negative; the inclination is therefore above 90°.
     cosine = MEAN_SUN_RATE_RAD_S / nodal_rate(semi_major_axis_km, 0.0)
     if cosine < -1.0:
-        slowest = (-cosine) ** (-2.0 / 7.0) * semi_major_axis_km - EARTH_RADIUS_KM  # the rate varies as a^(−7/2)
         altitude = semi_major_axis_km - EARTH_RADIUS_KM
         raise InputError(
             f"orbit.inclination_deg: no sun-synchronous inclination at {altitude:g} km, the node precesses too slowly; "
-            f"use an altitude below {slowest:.0f} km or give orbit.inclination_deg in degrees"
+            f"use an altitude below {sun_synchronous_limit_km():.0f} km or give orbit.inclination_deg in degrees"
         )
     return math.acos(cosine)

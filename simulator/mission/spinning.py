@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from startracker.core import FloatArray
 from startracker.errors import InputError
 
-_LARGEST_DIFFERENCE_DEG = 170.0
+LARGEST_STEP_DEG = 170.0
+"""Maximum rotation from one attitude to the next; beyond 180° its direction would be ambiguous."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,7 @@ class SpinningStates:
         rows = np.arange(len(self.t_s) - 1)
         predicted = self._moved(rows, self.t_s[1:])
         off_deg = np.degrees((predicted.inv() * Rotation.from_quat(self.quaternions[1:])).magnitude())
-        if (wrong := np.flatnonzero(off_deg > _LARGEST_DIFFERENCE_DEG)).size:
+        if (wrong := np.flatnonzero(off_deg > LARGEST_STEP_DEG)).size:
             raise InputError(
                 f"{positions[wrong[0] + 1]}: {off_deg[wrong[0]]:.0f}° from the attitude that the state before and its "
                 "rate of spin give; give states at shorter steps, or more decimals of the rate"

@@ -77,7 +77,7 @@ class Trajectory(Protocol):
         """Position (..., 3), km, and velocity (..., 3), km/s, relative to the centre at seconds since the epoch, shape
         (...).
 
-        ICRF axes: those of GCRS for an orbit around the Earth. `InputError` outside the span.
+        ICRF axes (GCRS for an orbit around the Earth). `InputError` outside the span.
         """
         ...
 

@@ -31,7 +31,7 @@ class Walker(NamedTuple):
 def walker_tle(shell: Walker, epoch: datetime, first_number: int = _FIRST_NUMBER) -> str:
     """Two-line elements, with lines of names and check digits, of a constellation at an epoch (with a time zone).
 
-    The mean motion is that of a two-body orbit, and drag is zero. Catalogue numbers count from `first_number`.
+    The mean motion follows from Kepler's third law, and drag is zero. Catalogue numbers count from `first_number`.
 
     Raises
     ------

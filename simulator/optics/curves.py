@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -138,36 +139,63 @@ def load_curve(spec: str | float, kind: CurveKind, base_dir: str | Path | None =
 
 
 def _parse(text: str, where: str) -> Curve:
-    """Points of a CSV text; the first fault is reported with its line."""
+    table = read_points(text, where, "wavelength_nm,value", "a wavelength and a value", _fault)
+    return Curve(table[:, 0], table[:, 1])
+
+
+def _fault(wavelength_nm: float, value: float, before: float | None) -> str:
+    if not 0.0 < wavelength_nm < math.inf:
+        return f"a wavelength must be a positive number of nanometres; found {wavelength_nm:g}"
+    if not 0.0 <= value <= 1.0:
+        return f"a value must lie between 0 and 1; found {value:g}"
+    if before is not None and wavelength_nm <= before:
+        return f"wavelengths must be ascending; {wavelength_nm:g} nm follows {before:g} nm"
+    return ""
+
+
+def read_points(
+    text: str, where: str, header: str, what: str, fault: Callable[[float, float, float | None], str]
+) -> FloatArray:
+    """Points (N, 2) of a CSV text of two columns; lines that begin with ``#`` are comments.
+
+    Parameters
+    ----------
+    text, where : str
+        The text, and the name of its file for messages.
+    header : str
+        Names of the columns; ``value`` stands for any name.
+    what : str
+        A point in words.
+    fault : callable
+        ``fault(x, y, before)``: what is wrong with a point whose predecessor has the abscissa `before` (None for the
+        first point); empty if nothing is.
+
+    Raises
+    ------
+    InputError
+        With file and line, for the first fault.
+    """
     points: list[tuple[float, float]] = []
-    header = False
+    names: list[str] = []
     for number, line in enumerate(text.splitlines(), start=1):
         cells = [cell.strip() for cell in line.split(",")]
         if not line.strip() or line.lstrip().startswith("#"):
             continue
-        if not header:
-            if len(cells) != 2 or cells[0] != "wavelength_nm":
-                raise InputError(f"{where}:{number}: the header must be 'wavelength_nm,value'; found '{line.strip()}'")
-            header = True
+        if not names:
+            names = cells
+            expected = header.split(",")
+            if len(names) != 2 or names[0] != expected[0] or expected[1] not in ("value", names[1]):
+                raise InputError(f"{where}:{number}: the header must be '{header}'; found '{line.strip()}'")
             continue
         if len(cells) != 2:
-            raise InputError(f"{where}:{number}: a line holds a wavelength and a value; found '{line.strip()}'")
+            raise InputError(f"{where}:{number}: a line holds {what}; found '{line.strip()}'")
         try:
-            wavelength_nm, value = float(cells[0]), float(cells[1])
+            x, y = float(cells[0]), float(cells[1])
         except ValueError:
             raise InputError(f"{where}:{number}: '{line.strip()}' is not two numbers") from None
-        if not (0.0 < wavelength_nm < math.inf):
-            raise InputError(
-                f"{where}:{number}: a wavelength must be a positive number of nanometres; found {cells[0]}"
-            )
-        if not 0.0 <= value <= 1.0:
-            raise InputError(f"{where}:{number}: a value must lie between 0 and 1; found {cells[1]}")
-        if points and wavelength_nm <= points[-1][0]:
-            raise InputError(
-                f"{where}:{number}: wavelengths must be ascending; {cells[0]} nm follows {points[-1][0]:g} nm"
-            )
-        points.append((wavelength_nm, value))
+        if found := fault(x, y, points[-1][0] if points else None):
+            raise InputError(f"{where}:{number}: {found}")
+        points.append((x, y))
     if len(points) < 2:
-        raise InputError(f"{where}: needs a header 'wavelength_nm,value' and two or more lines; found {len(points)}")
-    table = np.array(points)
-    return Curve(table[:, 0], table[:, 1])
+        raise InputError(f"{where}: needs a header '{header}' and two or more lines; found {len(points)}")
+    return np.array(points)

@@ -177,7 +177,7 @@ def build_psf(
     pitch_um : (float, float)
         Pixel pitch along columns and rows, µm.
     obscuration : float
-        Diameter of the central obscuration over that of the aperture.
+        Diameter of the central obscuration, as a fraction of the aperture's.
     diffusion_um : float
         Standard deviation of the spreading of charge, µm.
 

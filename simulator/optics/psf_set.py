@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from simulator.constants import DEFAULT_B_V
 from simulator.optics import diffraction
 from simulator.optics.lens import Lens
 from simulator.optics.psf import Psf, aberrated, psf_of
@@ -29,9 +30,6 @@ stars two of these images are mixed so that the mean wavelength is correct."""
 
 FEW_SPECTRA_MADE = ((-0.2, math.nan), (0.7, math.nan), (1.6, 11.5), (1.5, 16.0))
 """The same for images that also vary over the field."""
-
-DEFAULT_B_V = 0.6
-"""Colour of a star with unknown B−V, as in `simulator.sky.spectra`."""
 
 NODES, FEW_NODES = 9, 7
 """Number of wavelengths of a polychromatic image, at equal ratios; fewer if it varies over the field."""

@@ -189,7 +189,7 @@ def _even_sums(core: FloatArray, phases: int, even: bool) -> float:
 
 
 def least_radius(half: int, aspect: float) -> float:
-    """Minimum radius (pixels along columns) of a star with wings: that of the circle about the stamp."""
+    """Minimum radius (pixels along columns) of a star with wings: the circle about the stamp."""
     return math.hypot(half + 1.0, (half + 1.0) / aspect)
 
 

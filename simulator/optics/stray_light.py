@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from simulator.optics.curves import read_points
 from startracker.core import FloatArray
-from startracker.errors import InputError
 from startracker.files import CURVE_BYTES, read_text
 
 BEYOND_EXCLUSION_PST = 1e-9
@@ -40,8 +40,9 @@ class Baffle:
     """Exclusion angle by name of body (``Sun``, ``Moon``, ``Earth``), within which no performance is required."""
 
     def transmittance(self, angle_rad: ArrayLike) -> FloatArray:
-        """Ratio of the irradiance on the detector to that of the same source on the aperture at normal incidence."""
+        """Irradiance on the detector over irradiance by the same source on the aperture at normal incidence."""
         angle = np.asarray(angle_rad, dtype=float)
+        # Measured and modelled curves fall by decades; between their points the logarithm is nearly linear.
         value = np.exp(np.interp(angle, self.angle_rad, np.log(self.pst)))
         return np.asarray(np.where(angle <= self.angle_rad[-1], value, 0.0))
 
@@ -100,9 +101,11 @@ def build_baffle(
     }
     if pst == "vane":
         points = [(0.0, IN_FIELD_PST), (sun_exclusion_deg, BEYOND_EXCLUSION_PST), (90.0, BEYOND_EXCLUSION_PST)]
+        table = np.array(points)
     else:
-        points = _read(Path(base_dir or ".") / pst)
-    table = np.array(points)
+        path = Path(base_dir or ".") / pst
+        text = read_text(path, CURVE_BYTES, "optics.baffle.pst is 'vane' or a CSV file angle_deg,pst")
+        table = read_points(text, str(path), "angle_deg,pst", "an angle and a transmittance", _fault)
     return Baffle(np.radians(table[:, 0]), table[:, 1], exclusion)
 
 
@@ -147,31 +150,8 @@ def _off_axis(boresight: ArrayLike, directions: ArrayLike) -> FloatArray:
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _read(path: Path) -> list[tuple[float, float]]:
-    """Points of a CSV file; the first fault is reported with its line."""
-    lines = read_text(path, CURVE_BYTES, "optics.baffle.pst is 'vane' or a CSV file angle_deg,pst").splitlines()
-    points: list[tuple[float, float]] = []
-    header = False
-    for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        cells = [cell.strip() for cell in line.split(",")]
-        if not header:
-            if cells != ["angle_deg", "pst"]:
-                raise InputError(f"{path}:{number}: the header must be 'angle_deg,pst'; found '{line.strip()}'")
-            header = True
-            continue
-        try:
-            angle, value = (float(cell) for cell in cells)
-        except ValueError:
-            raise InputError(f"{path}:{number}: '{line.strip()}' is not an angle and a transmittance") from None
-        if not 0.0 <= angle <= 180.0 or (points and angle <= points[-1][0]) or (not points and angle != 0.0):
-            raise InputError(
-                f"{path}:{number}: angles must be ascending from 0 to at most 180 degrees; found {cells[0]}"
-            )
-        if not 0.0 < value <= 1.0:
-            raise InputError(f"{path}:{number}: a transmittance lies above 0 and up to 1; found {cells[1]}")
-        points.append((angle, value))
-    if len(points) < 2:
-        raise InputError(f"{path}: needs a header 'angle_deg,pst' and two or more lines; found {len(points)}")
-    return points
+def _fault(angle_deg: float, pst: float, before: float | None) -> str:
+    ascending = angle_deg == 0.0 if before is None else angle_deg > before
+    if not (ascending and angle_deg <= 180.0):
+        return f"angles must be ascending from 0 to at most 180 degrees; found {angle_deg:g}"
+    return "" if 0.0 < pst <= 1.0 else f"a transmittance lies above 0 and up to 1; found {pst:g}"

@@ -51,7 +51,7 @@ def true_camera(
     warmer_k: float,
     decentring_px_k: tuple[float, float] = (0.0, 0.0),
 ) -> Camera:
-    """Camera at a temperature `warmer_k` above that of its calibration; the same object if nothing changes.
+    """Camera at a temperature `warmer_k` above its calibration; the same object if nothing changes.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def true_camera(
     expansion_ppm_k : float
         Relative change of the focal length per kelvin, 1e-6.
     warmer_k : float
-        Temperature above that of the calibration.
+        Temperature above the temperature of the calibration.
     decentring_px_k : (float, float)
         Motion of the principal point per kelvin, pixels along columns and rows.
     """

@@ -287,14 +287,10 @@ def _make_adapter(key: Key) -> Callable[[Any], Any]:
     if section := item_section(key.annotation):
         columns = keys_of(section, f"{key.path}[]")
         return lambda items: tuple(_item(section, columns, item, n) for n, item in enumerate(_list(items)))
-    # A scenario may have an integer for a float. NaN and infinity are refused for every number, also where the
-    # annotation is a plain float.
     adapter: TypeAdapter[Any] = TypeAdapter(key.annotation)
-    finite = {_strip(part)[0] for part in _branches(key.annotation)} == {float}
 
     def validate(data: Any) -> Any:
-        if isinstance(data, int) and not isinstance(data, bool) and finite:
-            data = float(data)
+        # Strict pydantic takes an integer for a float, and NaN and infinity where the annotation is a plain float.
         value = adapter.validate_python(data, strict=True)
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, float) and not math.isfinite(number):

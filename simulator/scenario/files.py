@@ -40,7 +40,7 @@ def find_scenario(path: str | Path) -> Path:
 
 @functools.cache
 def included_scenarios() -> dict[str, Path]:
-    """Files of the included scenarios by name. Those of the gallery have two names, such as ``moon`` and
+    """Files of the included scenarios by name. Files of the gallery have two names, such as ``moon`` and
     ``gallery/moon``."""
     here = Path(__file__).resolve().parent
     folder = next(path for path in (here / "shipped", here.parents[1] / "scenarios") if path.is_dir())

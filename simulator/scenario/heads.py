@@ -40,8 +40,7 @@ def values_of_heads(path: str, v: Mapping[str, Any]) -> Iterator[tuple[str, dict
 
 
 def all_violations(v: Mapping[str, Any]) -> list[Violation]:
-    """All violated rules of a scenario: those of `simulator.scenario.physics.violations` for its camera, and those of
-    its heads."""
+    """All violated rules of a scenario: `simulator.scenario.physics.violations` of its camera, and the heads' own."""
     return violations_of((*RULES, _contradictions), v)
 
 

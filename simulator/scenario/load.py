@@ -169,7 +169,7 @@ class Scenario(ScenarioModel):
 
     @property
     def base_dir(self) -> Path:
-        """Base folder of relative file names: that of the scenario file, or the working folder."""
+        """Base folder of relative file names: the scenario file's, or the working folder."""
         return self._path.parent if self._path else Path()
 
     @property

@@ -6,17 +6,17 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from simulator.constants import EARTH_RADIUS_KM
+from simulator.constants import RADIUS_KM
 from simulator.mission.kepler import periapsis_km
+from simulator.mission.orbit import SPHERE_OF_INFLUENCE_KM
 from simulator.mission.parameters import FILES
 from simulator.mission.trajectory import GM_KM3_S2
 from simulator.scenario.errors import Violation, impossible, unphysical
 from simulator.scenario.pointing_rules import attitude_ends
 
-LOWEST_KM = 150.0
-"""Minimum height of a perigee, as `simulator.scenario.physics.MIN_ORBIT_KM`."""
-_RADIUS_KM = {"Earth": EARTH_RADIUS_KM, "Moon": 1737.4, "Sun": 695_700.0}
-_INFLUENCE_KM = {"Earth": 925_000.0, "Moon": 66_100.0, "Sun": math.inf}
+MIN_ORBIT_KM = 150.0
+"""Below this altitude, drag causes re-entry within about one orbit (Vallado 2013, chapter 8)."""
+_INFLUENCE_KM = {"Earth": SPHERE_OF_INFLUENCE_KM, "Moon": 66_100.0, "Sun": math.inf}
 """Spheres of influence, within which a state is near a conic: a (m/M)^(2/5)."""
 _GIVEN_BY = {"elements": "elements.semi_major_axis_km", "state": "state.position_km"}
 
@@ -69,7 +69,7 @@ def _periapsis(v: Mapping[str, Any]) -> Iterator[Violation]:
         key, least_km = "state.velocity_km_s", periapsis_km(position, velocity, GM_KM3_S2[centre])
     else:
         return
-    height_km = least_km - _RADIUS_KM[centre]
-    if height_km < (LOWEST_KM if centre == "Earth" else 0.0):
+    height_km = least_km - RADIUS_KM[centre]
+    if height_km < (MIN_ORBIT_KM if centre == "Earth" else 0.0):
         where = "within the atmosphere or the Earth" if centre == "Earth" else "below the surface"
         yield unphysical(f"orbit.{key}", f"the periapsis is at a height of {height_km:.0f} km, {where}; raise it")

@@ -12,21 +12,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import timedelta
 from typing import Any
 
-from simulator.constants import EARTH_GM_KM3_S2, EARTH_J2, EARTH_RADIUS_KM
+from simulator.constants import EARTH_GM_KM3_S2, EARTH_RADIUS_KM
+from simulator.mission.secular import sun_synchronous_limit_km
 from simulator.scenario import detector_rules, flight_rules, orbit_rules, pointing_rules, sequence_rules
 from simulator.scenario.errors import Violation, impossible, unphysical
+from simulator.scenario.orbit_rules import MIN_ORBIT_KM
 from simulator.scenario.sequence_rules import EPHEMERIS
 
 ALLOW = "; or set allow_unphysical: true"
 
 MIN_F_NUMBER = 0.5
 """Limit of an aplanatic lens in air: N = 1 / (2 sin θ) with θ = 90° (Born & Wolf 1999, sine condition)."""
-
-MIN_ORBIT_KM = 150.0
-"""Below this altitude, drag causes re-entry within about one orbit (Vallado 2013, chapter 8)."""
-
-SUN_RATE_RAD_S = 2.0 * math.pi / (365.2422 * 86400.0)
-"""Mean motion of the Sun in right ascension: one revolution per tropical year."""
 
 SILICON_C = (-230.0, 150.0)
 """Below, the dopants freeze out; above, silicon is an intrinsic conductor (Janesick 2001; Sze & Ng 2007, chapter 1)."""
@@ -71,15 +67,6 @@ def _node(v: Values) -> Iterator[Violation]:
     if not orbit_rules.sources(v) and v["orbit.raan_deg"] is not None and v["orbit.ltan_h"] is not None:
         message = "the node is already defined by orbit.ltan_h; set one of them to null"
         yield impossible("orbit.raan_deg", message)
-
-
-def sun_synchronous_limit_km() -> float:
-    """Maximum altitude of a circular sun-synchronous orbit, at which the nodal precession by J2 suffices at i = 180°.
-
-    From dΩ/dt = −(3/2) J2 (R/a)² n cos i (Vallado 2013, chapter 9): a^(7/2) = (3/2) J2 R² √GM / (dΩ/dt).
-    """
-    a: float = (1.5 * EARTH_J2 * EARTH_RADIUS_KM**2 * math.sqrt(EARTH_GM_KM3_S2) / SUN_RATE_RAD_S) ** (2.0 / 7.0)
-    return a - EARTH_RADIUS_KM
 
 
 def _altitude(v: Values) -> Iterator[Violation]:

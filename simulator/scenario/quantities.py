@@ -9,7 +9,7 @@ from typing import Any
 
 from simulator.scenario.fields import Key
 from simulator.units import UNITS, unit_suffix
-from startracker.interop import is_time, plain
+from startracker.arguments import is_time, plain
 
 
 def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
@@ -27,7 +27,7 @@ def as_written(path: str, value: Any, keys: Mapping[str, Key]) -> Any:
     Raises
     ------
     InputError
-        For a quantity whose unit cannot be converted to that of the key.
+        For a quantity whose unit cannot be converted to the key's.
     """
     # An unknown path is left to the loader, which reports it.
     if path in keys:

@@ -8,13 +8,10 @@ from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from typing import Any
 
+from simulator.mission.spinning import LARGEST_STEP_DEG
 from simulator.scenario.errors import Violation, impossible
 
 MOST_FRAMES = 1_000_000
-LARGEST_STEP_DEG = 170.0
-"""Maximum rotation between frames; beyond 180° its direction would be ambiguous."""
-
-
 EPHEMERIS = (datetime(1899, 7, 30, tzinfo=UTC), datetime(2053, 10, 8, tzinfo=UTC))
 """Range of DE421 (Folkner et al. 2009), less one day at each end."""
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import csv
 import functools
-from importlib import resources
 
 import numpy as np
 
 from simulator.optics.curves import load_curve
 from simulator.sky.spectra import SOLAR_B_V, SPECTRA, V_GRID_NM, colour_sequence, mean_v
 from startracker.core import FloatArray
+from startracker.files import included_lines
 from startracker.settings.registry import lookup
 
 _WIDE = {360.0: "u", 436.0: "b", 549.0: "v", 641.0: "r", 798.0: "i"}
@@ -61,8 +61,7 @@ def relative_albedo(name: str, wavelength_nm: FloatArray) -> FloatArray:
 @functools.cache
 def _table() -> dict[str, tuple[FloatArray, FloatArray]]:
     """Wavelengths (nm) and albedos by name of body."""
-    text = (resources.files("simulator.sky") / "data" / "albedo_bodies.csv").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    rows = list(csv.DictReader(included_lines("simulator.sky", "albedo_bodies.csv")))
     table = {}
     for name in dict.fromkeys(row["body"] for row in rows):
         nm, albedo = (

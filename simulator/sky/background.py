@@ -10,7 +10,6 @@ import csv
 import functools
 import math
 from dataclasses import replace
-from importlib import resources
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +21,7 @@ from simulator.sky.earth import earth_radiance_map
 from simulator.sky.star_counts import light_between_s10
 from startracker.catalog import load_catalog
 from startracker.core import FloatArray
+from startracker.files import included_lines
 from startracker.geometry.attitude import Attitude, direction_to_radec, radec_to_direction
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion
@@ -314,8 +314,7 @@ def _node_directions(ra_deg: FloatArray, dec_deg: FloatArray) -> FloatArray:
 # ---------------------------------------------------------------------- tables
 def _read(name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Row nodes, column nodes and values (NaN where empty) of an included table."""
-    text = (resources.files("simulator.sky") / "data" / name).read_text(encoding="utf-8")
-    header, *rows = csv.reader(line for line in text.splitlines() if not line.startswith("#"))
+    header, *rows = csv.reader(included_lines("simulator.sky", name))
     values = np.array([[float(cell) if cell else math.nan for cell in row] for row in rows])
     return values[:, 0], np.array([float(cell) for cell in header[1:]]), values[:, 1:].copy()
 

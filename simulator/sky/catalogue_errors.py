@@ -21,7 +21,7 @@ _GOLDEN, _MIX_1, _MIX_2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE
 
 @dataclass(frozen=True)
 class CatalogueErrors:
-    """Errors of the tracker's catalogue, in addition to those of the catalogue itself; fixed for each star."""
+    """Errors of the tracker's catalogue, in addition to the catalogue's own; fixed for each star."""
 
     position_mas: float = 0.0
     """Standard deviation of the positions at the catalogue's epoch on each axis, milliarcseconds; the tracker adds it

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulator.constants import EARTH_RADIUS_KM
 from simulator.optics.bodies import LAW_OF_BODY, share_before_limb
+from simulator.sky.instants import EARTH_DISK_KM, Bodies
 from simulator.sky.magnitudes import sun_v
-from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
 from startracker._compiled import kernel, kernel_part
 from startracker.core import BoolArray, FloatArray
 from startracker.geometry.attitude import Attitude
@@ -44,7 +44,7 @@ _AIR_MASSES = math.sqrt(2.0 * math.pi * EARTH_RADIUS_KM / SCALE_HEIGHT_KM)
 
 def has_disk(sky: Sky, r_km: ArrayLike) -> bool:
     """Whether the Earth is rendered with surface and limb. It is not if `Sky.earth` is off, nor beyond
-    `simulator.sky.solar_system.EARTH_DISK_KM`, where it is one of the bodies."""
+    `simulator.sky.instants.EARTH_DISK_KM`, where it is one of the bodies."""
     return sky.earth and math.hypot(*np.asarray(r_km, dtype=float).tolist()) < EARTH_DISK_KM
 
 

@@ -13,7 +13,6 @@ import csv
 import functools
 import math
 from dataclasses import dataclass
-from importlib import resources
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from simulator.constants import PLANCK_J_S
 from simulator.optics.curves import load_curve
 from simulator.sky.monotone import MonotoneCubic
 from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray
+from startracker.files import included_lines
 
 HC_J_NM = PLANCK_J_S * SPEED_OF_LIGHT_KM_S * 1e3 * 1e9
 """Energy of a photon times its wavelength."""
@@ -69,14 +69,14 @@ class Sequence:
 @functools.cache
 def published_colours(kind: str) -> dict[str, dict[str, float]]:
     """Published colours by type; `kind` is ``dwarfs`` or ``giants``; NaN if a colour is not given."""
-    rows = csv.DictReader(_lines(f"colours_{kind}.csv"))
+    rows = csv.DictReader(included_lines("simulator.sky", f"colours_{kind}.csv"))
     return {row["type"]: {name: float(row[name] or math.nan) for name in COLOURS} for row in rows}
 
 
 @functools.cache
 def library() -> tuple[FloatArray, dict[str, FloatArray]]:
     """Wavelengths (nm) and F_λ of every type as published, 1 at 555 nm."""
-    lines = _lines("pickles1998.csv")
+    lines = included_lines("simulator.sky", "pickles1998.csv")
     table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
     spectra = dict(zip(lines[0].split(",")[1:], table[:, 1:].T, strict=True))
     # The geometric mean is the mean in magnitudes, in which spectra are interpolated between types as well.
@@ -154,8 +154,3 @@ def _passband(band: str) -> tuple[FloatArray, FloatArray]:
     curve = load_curve(f"bessell_{band}", "passband")
     nm = np.arange(curve.wavelength_nm[0], curve.wavelength_nm[-1] + _STEP_NM / 2, _STEP_NM)
     return nm, curve(nm)
-
-
-def _lines(name: str) -> list[str]:
-    text = (resources.files("simulator.sky") / "data" / name).read_text(encoding="utf-8")
-    return [line for line in text.splitlines() if line and not line.startswith("#")]

@@ -13,7 +13,7 @@ from startracker.core import FloatArray
 class MonotoneCubic:
     """Cubic Hermite interpolant through points, monotone wherever the points are.
 
-    The slope at a point is the weighted harmonic mean of those of the adjacent intervals, and 0 at an extremum; at the
+    The slope at a point is the weighted harmonic mean of the adjacent intervals' slopes, and 0 at an extremum; at the
     ends it is that of the parabola through three points, limited to avoid overshoot (Fritsch & Butland 1984, SIAM J.
     Sci. Stat. Comput. 5, 300; Moler 2004, *Numerical Computing with MATLAB*, section 3.6). Equivalent to SciPy's
     `PchipInterpolator`, whose import takes 13 MB and a tenth of a second."""

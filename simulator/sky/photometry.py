@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.constants import DEFAULT_B_V
 from simulator.optics.curves import Curve
 from simulator.sky.albedo import body_photons
 from simulator.sky.colours import population_giant_share
-from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA, Spectrum
+from simulator.sky.spectra import B_V_RANGE, LATE_GIANT, SOLAR_B_V, SPECTRA, Spectrum
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulator.constants import EARTH_RADIUS_KM
+from simulator.constants import EARTH_RADIUS_KM, RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.mission.element_files import is_called
 from simulator.mission.element_list import ElementList
@@ -33,7 +33,6 @@ from simulator.sky.apparent import aberrated
 from simulator.sky.earth import has_disk, limbs
 from simulator.sky.magnitudes import sun_v
 from simulator.sky.parameters import SatelliteParameters, Sky
-from simulator.sky.solar_system import RADIUS_KM
 from startracker.core import AU_KM, SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.display import fields_repr
 from startracker.errors import InputError

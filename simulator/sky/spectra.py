@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from simulator.constants import BOLTZMANN_J_K
+from simulator.constants import BOLTZMANN_J_K, DEFAULT_B_V
 from simulator.optics.curves import load_curve
 from simulator.sky.extinction import relative_extinction
 from simulator.sky.library import HC_J_NM, Sequence, sequence
@@ -23,9 +23,6 @@ A2."""
 
 V_EFFECTIVE_NM = 545.0
 """Effective wavelength of V for an A0 star; the same table."""
-
-DEFAULT_B_V = 0.6
-"""Colour of a star with unknown B−V: about the median of stars brighter than V = 9."""
 
 SOLAR_B_V = 0.653
 """Colour of the Sun; Ramírez et al. 2012 (ApJ 752, 5)."""

@@ -1,6 +1,6 @@
 """Number of stars on the sky by magnitude, to V = 16.
 
-The counts are those of Tycho-2 and UCAC4 together over the whole sky (H. Kleijn, "Counting stars",
+The counts are from Tycho-2 and UCAC4 together over the whole sky (H. Kleijn, "Counting stars",
 hnsky.com/star_count.htm). Tycho-2 is complete to V = 11; UCAC4's magnitudes are of a band between V and R, in which
 stars are brighter, so that the counts of fainter stars are upper limits. Between whole magnitudes the logarithm is
 interpolated.

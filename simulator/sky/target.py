@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
+from simulator.constants import RADIUS_KM
 from simulator.mission.parameters import PointingParameters
-from simulator.sky.solar_system import RADIUS_KM, Bodies
+from simulator.sky.instants import Bodies
 from startracker.catalog.names import designation_rows, proper_names
 from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.axes import BODY_AXES
 from simulator.study.specification.outcome import outcome_counts_text
-from simulator.study.statistics import BODY_AXES
 from startracker.core import FloatArray
 from startracker.display import html_card
 

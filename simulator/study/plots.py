@@ -1,6 +1,6 @@
 """Plots of a study: each function draws one figure from the columns of the trials.
 
-Colours are those of Okabe & Ito (2008), distinguishable with colour-blindness and in greyscale print; markers differ as
+Colours follow Okabe & Ito (2008), distinguishable with colour-blindness and in greyscale print; markers differ as
 well.
 """
 
@@ -22,7 +22,6 @@ __all__ = [
     "GREEN",
     "GREY",
     "ORANGE",
-    "TITLES",
     "VERMILION",
     "frame_preview",
     "picture",
@@ -31,14 +30,6 @@ __all__ = [
 ]
 
 BLUE, ORANGE, GREEN, VERMILION, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#777777"
-TITLES = {
-    "roll": "roll (about X, velocity)",
-    "pitch": "pitch (about Y, minus orbit normal)",
-    "yaw": "yaw (about Z, nadir)",
-    "cross_x": "cross-boresight x",
-    "cross_y": "cross-boresight y",
-    "about_boresight": "about the boresight",
-}
 
 
 def picture(rows: int, columns: int, size: tuple[float, float], **axes: Any) -> tuple[Figure, NDArray[Any]]:

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.axes import AXES
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.specification.outcome import identified, outcome_counts
 from simulator.study.specification.verdicts import Judgement
-from simulator.study.statistics import AXES, axis_statistics, median
+from simulator.study.statistics import axis_statistics, median
 
 TRIAL_COLUMNS = (
     "index",

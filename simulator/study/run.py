@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from simulator.checks import as_scenario
 from simulator.scenario import Scenario
+from simulator.study.axes import BODY_AXES
 from simulator.study.data_frames import Rows
 from simulator.study.result_files import json_text, now_utc, write_files
 from simulator.study.result_options import check_run_options
@@ -23,7 +24,7 @@ from simulator.study.results_folder import results_folder, standing
 from simulator.study.specification.measured import judge_frames
 from simulator.study.specification.outcome import outcome_counts_text
 from simulator.study.specification.verdicts import Judgement
-from simulator.study.statistics import BODY_AXES, median, summarise
+from simulator.study.statistics import median, summarise
 from simulator.study.trials.columns import Columns
 from simulator.study.trials.engine import Progress, Trials, run_trials
 from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_parts, nothing_lost, run_identity
@@ -117,7 +118,7 @@ def run(
     scenario : Scenario or path
         The scenario, or the name of an included one or of a file.
     trials, seed : int, optional
-        Replace those of the scenario.
+        Replace the scenario's.
     workers : int
         Processes on this machine; the rows do not depend on their number.
     dask : str, optional

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.study.axes import AXES, CAMERA_AXES
 from simulator.study.intervals import (
     mean_chi_square_bounds,
     moment_intervals,
@@ -23,10 +24,6 @@ from simulator.study.specification.outcome import identified, inconsistency, out
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import Judgement
 from startracker.core import FloatArray
-
-BODY_AXES = ("roll", "pitch", "yaw")
-CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
-AXES = BODY_AXES + CAMERA_AXES
 
 BEYOND_FACTOR = 10.0
 """An error that exceeds the specification this many times is counted as beyond the specification."""
@@ -283,7 +280,7 @@ def summarise(columns: Columns, judgement: Judgement, seed: int = 0) -> dict[str
     judgement : Judgement
         Verdicts on the specification (`simulator.study.specification`).
     seed : int
-        Seed of the bootstrap: that of the scenario.
+        Seed of the bootstrap: the scenario's.
     """
     n = len(columns["index"])
     solved = np.asarray(columns["status"] == "solved", dtype=bool)

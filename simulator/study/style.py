@@ -2,7 +2,7 @@
 
 A panel is drawn once, in the light colours below. In the page it is inline SVG in which each of these colours is
 replaced by a variable of the style sheet, so that the light or dark theme applies to lines and text alike; in the PDF
-it is unchanged. The colours are those of Okabe & Ito (2008), distinguishable with colour-blindness; curves also differ
+it is unchanged. The colours follow Okabe & Ito (2008), distinguishable with colour-blindness; curves also differ
 in marker or line style.
 """
 

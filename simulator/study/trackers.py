@@ -39,7 +39,7 @@ def tracker_of(scenario: Scenario, renderer: Renderer) -> Tracker:
 
 
 def session_of(tracker: Tracker, noise: RateNoise | GyroNoise | None = None, exposure_s: float = 0.0) -> Session:
-    """A tracking session. That of a flight build has the motion that was exported, whatever the noise."""
+    """A tracking session. In a flight build it has the motion that was exported, whatever the noise."""
     if isinstance(tracker, FlightEngine):
         return FlightSession(tracker)
     return TrackingSession(tracker, noise, exposure_s=exposure_s)

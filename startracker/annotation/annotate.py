@@ -1,7 +1,7 @@
 """A solved image as a picture: stars by name, deep-sky objects, planets, constellations, grid, compass, scale.
 
 The image is shown as a camera shows the sky (`startracker.images.picture.stretch`), a colour image in its colours. The
-colours of the marks are those of Okabe & Ito (2008), which colour-blind readers can distinguish, some lightened; the
+colours of the marks follow Okabe & Ito (2008), which colour-blind readers can distinguish, some lightened; the
 symbols differ as well. Sizes are fractions of the picture's size. Matplotlib is imported with the first picture.
 """
 

@@ -35,7 +35,7 @@ class InFlightCalibration:
     settings : InFlightSettings
         Parameters, their initial standard deviations and drifts, and the map of defective pixels.
     psf_width_px : float, optional
-        Width of the star images (σ) on the ground; None: that of the first frame.
+        Width of the star images (σ) on the ground; None: as in the first frame.
     background_tile_px : int
         Size of the tiles of the background in which defective pixels are searched for.
 
@@ -82,7 +82,7 @@ class InFlightCalibration:
 
     @property
     def camera(self) -> Camera:
-        """Camera to use: that of the ground, with the changes that are significant
+        """Camera to use: as calibrated on the ground, with the changes that are significant
         (`startracker.calibration.applied`)."""
         return self.lens.camera_in_use
 
@@ -112,7 +112,7 @@ class InFlightCalibration:
         attitude : Attitude
             ICRS to camera; an approximate value is sufficient, because the attitude is fitted together with the lens.
         stars : IdentifiedStars
-            The stars of the frame; ``IdentifiedStars.of(solution, tracker)`` has those of a solution.
+            The stars of the frame; ``IdentifiedStars.of(solution, tracker)`` takes them from a solution.
         given : GivenImage, optional
             The image as read out, for the width of star images and defective pixels (`startracker.inputs`).
         """

@@ -40,7 +40,7 @@ class KnownField:
         return np.asarray(np.sqrt(own + catalogue + floor_px**2))
 
     def matches(self, pairs: IntArray | None = None, floor_px: float = 0.0) -> Matches:
-        """Stars for the fit: the identified ones, or those of other pairs."""
+        """Stars for the fit: the identified ones, or other pairs."""
         p = self.pairs if pairs is None else pairs
         return Matches(self.field.xy[p[:, 0]], self.sky.directions[p[:, 1]], self.sigma(floor_px)[p[:, 0]])
 

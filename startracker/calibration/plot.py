@@ -1,6 +1,6 @@
 """Residuals of a calibration as a figure: over the image, by radius before and after, and their distribution.
 
-Colours are those of Okabe & Ito (2008), which colour-blind readers can distinguish; markers differ as well. Matplotlib
+Colours follow Okabe & Ito (2008), which colour-blind readers can distinguish; markers differ as well. Matplotlib
 is imported when the figure is drawn.
 """
 

@@ -7,7 +7,7 @@ combinations: a term must reduce χ² by more than ln(number of observations) pe
 3. All catalogue stars are projected and matched again within 3.7 robust standard errors, until convergence.
 4. A smooth distortion that the lens model does not describe displaces the parameters. Its size is estimated from the
 residuals, and its effect is part of the covariance (`startracker.calibration.residual_field`).
-5. Images with a focal length different from that of the majority are excluded (`startracker.calibration.consensus`),
+5. Images whose focal length differs from the majority's are excluded (`startracker.calibration.consensus`),
 and the others are fitted again. Duplicate images are used once.
 """
 
@@ -79,7 +79,7 @@ def calibrate(
         Field across the width to 5 %, instead of `camera`.
     catalog : str or StarCatalog
     projection : str
-        ``pinhole``, ``fisheye``, or ``auto``: that of `camera`, or the better of both for fields beyond 40° without a
+        ``pinhole``, ``fisheye``, or ``auto``: as `camera` has, or the better of both for fields beyond 40° without a
         camera.
     refraction : bool
         Whether the images were taken through the atmosphere: a stretch of each field is fitted, which is not part of

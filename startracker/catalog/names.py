@@ -9,13 +9,13 @@ import functools
 import itertools
 import math
 import re
-from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.stars import StarCatalog
+from startracker.files import included_lines
 
 _LETTERS = (
     "Alp=α Bet=β Gam=γ Del=δ Eps=ε Zet=ζ Eta=η The=θ Iot=ι Kap=κ Lam=λ Mu=μ Nu=ν Xi=ξ Omi=ο Pi=π Rho=ρ Sig=σ Tau=τ "
@@ -44,7 +44,11 @@ def proper_name(star_name: str) -> str:
 @functools.cache
 def proper_names() -> dict[str, str]:
     """Proper names by designation."""
-    entries = (entry.split("=") for line in data_lines("star_names.txt") for entry in line.split(";"))
+    entries = (
+        entry.split("=")
+        for line in included_lines("startracker.catalog", "star_names.txt")
+        for entry in line.split(";")
+    )
     return {star.strip(): name.strip() for star, name in entries}
 
 
@@ -61,7 +65,7 @@ def constellation_lines(catalog: StarCatalog) -> tuple[NDArray[np.int64], NDArra
     row = designation_rows(catalog)
     pairs: list[tuple[int, int]] = []
     names: list[str] = []
-    for line in data_lines("constellations.txt"):
+    for line in included_lines("startracker.catalog", "constellations.txt"):
         own, chains = line.split(":")
         for chain in chains.split(";"):
             # A star without a constellation belongs to the constellation of its line.
@@ -85,12 +89,6 @@ def designation_rows(catalog: StarCatalog) -> dict[str, int]:
         if not letter.isdigit():
             rows.setdefault(f"{letter.rstrip('0123456789')} {constellation}", int(i))
     return rows
-
-
-def data_lines(file: str) -> list[str]:
-    """Lines of a text file of ``catalog/data``, without its comments."""
-    text = (files("startracker.catalog") / "data" / file).read_text(encoding="utf-8")
-    return [line for line in text.splitlines() if line and not line.startswith("#")]
 
 
 KINDS = {
@@ -135,7 +133,7 @@ class DeepSkyObject(NamedTuple):
 @functools.cache
 def deep_sky_objects() -> tuple[DeepSkyObject, ...]:
     """All objects, Messier's first."""
-    return tuple(_object(line) for line in data_lines("deep_sky.txt"))
+    return tuple(_object(line) for line in included_lines("startracker.catalog", "deep_sky.txt"))
 
 
 @functools.cache

@@ -8,12 +8,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arguments import real_array, real_number, text
+from startracker.arguments import julian_year, real_array, real_number, text
 from startracker.core import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD, FloatArray
 from startracker.display import described, quantity_range
 from startracker.errors import InputError
 from startracker.geometry.attitude import direction_to_radec, radec_to_direction
-from startracker.interop import julian_year
 
 _AU_PER_YEAR_IN_KM_S = AU_KM / (DAYS_PER_JULIAN_YEAR * 86_400.0)
 
@@ -46,7 +45,7 @@ class StarCatalog:
     star_name : str array
         Bayer/Flamsteed or proper name; empty where unknown.
     position_sigma_rad : float
-        Standard error of the positions on one axis, which the tracker adds to that of its centroids.
+        Standard error of the positions on one axis, which the tracker adds to the errors of its centroids.
     variable : bool array
         Whether the catalogue lists the star as variable; all False by default. A variable star may be brighter or
         fainter than `v_mag`.

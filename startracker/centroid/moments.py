@@ -35,7 +35,7 @@ def first_moment(
     are used instead if their corrected moment is more accurate and star images are not wider than σ = 1.1 px (a wider
     one may be a short streak, whose middle pixels do not determine its position).
 
-    The covariance is that of the moments due to photon and background noise, times the slope of the correction, plus a
+    The covariance follows from photon and background noise in the moments, times the slope of the correction, plus a
     floor of 0.005 px and, for a star with neighbours, the largest shift that their light in its window can cause. A
     saturated star is measured without correction in a window enlarged by its radius, with 0.05 px and a quarter of the
     difference of its two widths (bleeding) added to its error.

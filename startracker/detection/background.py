@@ -83,7 +83,7 @@ def estimate(image: ArrayLike, tile_px: int = 64) -> Background:
     median and the 84 % quantile, then a mean and a standard deviation, clipped three times at 3σ about the median; the
     standard deviation is corrected for the clipping. The tiles pass a 3 × 3 median, which removes a bright star or the
     Moon, and are interpolated bilinearly between their centres; the level is extrapolated linearly to the borders. The
-    procedure is that of Bertin & Arnouts 1996 (SExtractor, section 4).
+    procedure follows Bertin & Arnouts 1996 (SExtractor, section 4).
 
     The noise is never below the rounding error of the image's own digitisation, step/√12, nor, in an image without a
     step, below 1e-5 of its range: an image without noise (a rendered frame, the black of an 8-bit photograph) still

@@ -89,7 +89,7 @@ class BadPixelCount:
         frame : array_like, shape (H, W)
             DN; pixels that are not finite count as bad.
         ignore : bool array, shape (H, W), optional
-            Pixels that this frame does not test, such as those of known stars.
+            Pixels that this frame does not test, such as around known stars.
 
         Raises
         ------

@@ -69,7 +69,7 @@ def field_fit(
     Returns
     -------
     Estimate
-        That of `field`; of directions alone with the covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹, rad².
+        The fit `field`; from directions alone, with the covariance P = [Σ σᵢ⁻² (I − bᵢ bᵢᵀ)]⁻¹, rad².
 
     Raises
     ------

@@ -187,7 +187,7 @@ def plate_constants(observed: ArrayLike, reference: ArrayLike, sigma_rad: ArrayL
     Returns
     -------
     Estimate
-        With the covariance of these linear fits, rad², which is at least that of `wahba_svd`.
+        With the covariance of these linear fits, rad², which is never smaller than `wahba_svd` states.
 
     Raises
     ------

@@ -38,7 +38,7 @@ from startracker.estimation.outliers import FEWEST_STARS, MOST_STARS, average, i
 from startracker.estimation.pose import TRUSTED, Linearised, Pose, displacements, fit_pose
 from startracker.estimation.wahba import fit_rotation
 from startracker.geometry.camera import Camera
-from startracker.geometry.image_map import CX, WIDTH
+from startracker.geometry.image_map import CX, WIDTH, to_directions
 from startracker.geometry.linalg import rotated, solve
 from startracker.observer import Observer, corrects_aberration, unknown_aberration
 from startracker.sorting import median
@@ -129,16 +129,16 @@ def refine(
         fit = field.weighed(fit, pairs, fewest)
         if FEWEST_STARS <= len(fit.used) <= MOST_STARS:
             fit = fit._replace(pose=with_doubt(fit.pose, len(fit.used)))
-    used, named, fits = fit.used, fit.named, fit.fits
+    used, matched, fits = fit.used, fit.matched, fit.fits
     matrix, covariance = field.attitude(fit, estimator)
     if stars.common_px2 is not None or len(fit.errors.amplitudes):
         shift = shared_shift(fit.errors, stars.common_px2 is not None)
         common_px2 = shift if stars.common_px2 is None else shift + stars.common_px2
         covariance = covariance + rotation_of_shift(common_px2, camera)
-    if not np.array_equal(named[fits], used):
-        named, fits = merge_pairs(used, named)
-    residual = xy[named[:, 0]] - field.seen(named[:, 1], matrix)[0]
-    return Refined(matrix=matrix, covariance=covariance, pairs=named, used=fits, residual_px=residual, camera=camera)
+    if not np.array_equal(matched[fits], used):
+        matched, fits = merge_pairs(used, matched)
+    residual = xy[matched[:, 0]] - field.seen(matched[:, 1], matrix)[0]
+    return Refined(matrix=matrix, covariance=covariance, pairs=matched, used=fits, residual_px=residual, camera=camera)
 
 
 def _matched(
@@ -188,7 +188,7 @@ class _Fit(NamedTuple):
     errors: ImageErrors
     used: IntArray
     measured: FloatArray
-    named: IntArray
+    matched: IntArray
     fits: BoolArray
 
 
@@ -227,26 +227,26 @@ class _Field(NamedTuple):
         """Fits of the stars that agree with the previous fit, iterated until unchanged."""
         measured = self.xy
         pose, matrix, errors = self.fit(used, matrix, measured)
-        named, fits, merged = self.named(pose, matrix, errors)
+        matched, fits, merged = self.matched(pose, matrix, errors)
         for _ in range(_ROUNDS):
-            fitting = named[fits]
+            fitting = matched[fits]
             if len(fitting) < fewest:
                 break
             if np.array_equal(fitting, used) and np.array_equal(merged, measured):
                 break
             used, measured = fitting, merged
             pose, matrix, errors = self.fit(used, matrix, measured)
-            named, fits, merged = self.named(pose, matrix, errors)
-        return _Fit(pose, matrix, errors, used, measured, named, fits)
+            matched, fits, merged = self.matched(pose, matrix, errors)
+        return _Fit(pose, matrix, errors, used, measured, matched, fits)
 
     def weighed(self, fit: _Fit, pairs: IntArray, fewest: int) -> _Fit:
         """The fit, unless another one explains the same stars better: for few stars, one without displaced stars; for
         many, one of all, if many of them do not fit."""
         for last in (False, True):
-            if len(fit.named) > MOST_STARS:
+            if len(fit.matched) > MOST_STARS:
                 return self._with_all(fit, fewest)
-            unchanged = len(pairs) <= len(fit.named) == np.count_nonzero(fit.fits)
-            stars = fit.named if unchanged else merge_pairs(pairs, fit.named)[0]
+            unchanged = len(pairs) <= len(fit.matched) == np.count_nonzero(fit.fits)
+            stars = fit.matched if unchanged else merge_pairs(pairs, fit.matched)[0]
             if unchanged and not is_suspicious(fit.pose, len(stars)):
                 return fit
             if not FEWEST_STARS <= len(stars) <= MOST_STARS:
@@ -274,7 +274,7 @@ class _Field(NamedTuple):
     def _with_all(self, fit: _Fit, fewest: int) -> _Fit:
         """The fit of all identified stars, if too many for blends do not fit and the evidence is not decisive: errors
         may be larger than stated, and chance agreements may confirm each other."""
-        stars = fit.named
+        stars = fit.matched
         if len(stars) - np.count_nonzero(fit.fits) <= max(_MOST_BLENDS, (1.0 - _MOST_FIT) * len(stars)):
             return fit
         other, weight = self.iterated(stars, fit.matrix, fewest), []
@@ -294,14 +294,14 @@ class _Field(NamedTuple):
         return xy - self._error_columns(xy) @ errors.amplitudes if len(errors.amplitudes) else xy
 
     def _linearised(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> Linearised:
-        """Pairs (M, 2) about an attitude (3, 3), from measured positions (N, 2), see `named`."""
+        """Pairs (M, 2) about an attitude (3, 3), from measured positions (N, 2), see `matched`."""
         stars, (pixels, offset, slopes, extra) = pairs[:, 0], self.seen(pairs[:, 1], matrix)
         stated, sigma = self.stated[stars], self.extra_sigma
         return Linearised(measured[stars] - pixels, slopes, offset, stated, extra, sigma, self.as_assumed)
 
     def fit(self, pairs: IntArray, matrix: FloatArray, measured: FloatArray) -> tuple[Pose, FloatArray, ImageErrors]:
         """Pose of some pairs (M, 2), linearised about an attitude (3, 3), its attitude, and the errors common to the
-        field; measured positions (N, 2) are those of `named`."""
+        field; measured positions (N, 2) are those of `matched`."""
         pose, errors = self._fitted(self._linearised(pairs, matrix, measured), measured[pairs[:, 0]])
         x, y, z = pose.turn.tolist()
         return pose, rotated(matrix, -x, -y, -z), errors
@@ -322,7 +322,7 @@ class _Field(NamedTuple):
                 pose = other._replace(unknowns=np.delete(other.unknowns, theirs))
         return pose, errors
 
-    def named(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
+    def matched(self, pose: Pose, matrix: FloatArray, errors: ImageErrors) -> tuple[IntArray, BoolArray, FloatArray]:
         """Pairs (K, 2) of all centroids of guide stars, which of them fit, and positions (N, 2) with duplicates
         merged."""
         camera, guide = self.camera, self.guide
@@ -356,7 +356,8 @@ class _Field(NamedTuple):
         _, offset, slopes, extra = self.seen(used[:, 1], matrix)
         # Geometric mean of the scales along the two axes: the fourth root of the determinant of J Jᵀ.
         pixels_per_rad = np.linalg.det(slopes @ slopes.transpose(0, 2, 1)) ** 0.25
-        seen = camera.unproject(measured[used[:, 0]] - displacements(offset, extra, pose.unknowns))
+        at_px = measured[used[:, 0]] - displacements(offset, extra, pose.unknowns)
+        seen = to_directions(at_px, camera.image_map)
         sigma_rad = pose.sigma_px / pixels_per_rad
         if takes_field(estimator):
             estimate = estimator(seen, reference, sigma_rad, field=FieldFit(matrix, pose.covariance))

@@ -1,7 +1,7 @@
 """The filter of several heads: `Mekf` of the body, with the alignment of each head as further states.
 
-The attitude is that of the body, whose axes are the gyro's. A head is mounted at M (body to camera), which is known up
-to a small rotation a about the camera's axes: A_head = R(a) M A_body. With an error θ of the body's attitude, a head
+The filter estimates the attitude of the body, whose axes are the gyro's. A head is mounted at M (body to camera), known
+up to a small rotation a about the camera's axes: A_head = R(a) M A_body. With an error θ of the body's attitude, a head
 measures M θ + a + noise. Like the attitude, the mountings are corrected by multiplication.
 
 Errors of single frames are not quite independent: a star with an unresolved companion is displaced in every frame. This

@@ -90,7 +90,7 @@ def extended(window: Window, innovation: Innovation, spread: FloatArray, t_s: fl
 
 
 def restarted(window: Window) -> Window:
-    """Averages that begin again; those of the scatter are kept."""
+    """Averages that begin again; the scatter is kept."""
     return Window()._replace(scatter=window.scatter, scatter_frames=window.scatter_frames)
 
 

@@ -15,10 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.arguments import of_kind, real_array, real_number, text
+from startracker.arguments import (
+    is_rotation,
+    is_skycoord,
+    of_kind,
+    real_array,
+    real_number,
+    rotation_quat,
+    skycoord_deg,
+    text,
+)
 from startracker.core import FloatArray
 from startracker.errors import FrameMismatchError, InputError
-from startracker.interop import is_rotation, is_skycoord, rotation_quat, skycoord_deg
 
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 _UNIT = 4.0 * np.finfo(float).eps

@@ -7,7 +7,7 @@ With normalised coordinates (x, y) = (X/Z, Y/Z) and r² = x² + y²:
     y_d = y · radial + p1 (r² + 2 y²) + 2 p2 x y
 
 Source: D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37 (1971) 855; the rational form
-and the order of the coefficients are those of OpenCV's ``calib3d`` module.
+and the order of the coefficients are as in OpenCV's ``calib3d`` module.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ def fit_jointly(
     matches : list of Matches
         One per image.
     names : tuple of str
-        Free parameters, of `startracker.geometry.lens.PARAMETERS`; the others are those of `camera`.
+        Free parameters, of `startracker.geometry.lens.PARAMETERS`; the others remain as in `camera`.
     with_refraction : bool
         Whether each image has its own stretch.
     enough : float

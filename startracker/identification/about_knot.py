@@ -64,7 +64,7 @@ def about_knot(
     Returns
     -------
     Identification
-        Its operations include those of the rejected one.
+        Its operations include the rejected search.
     """
     pool = HypothesisPool(settings, stars=len(observed), operations=found.operations)
     scale, verified = tried_scales(observed, guide)[-1], 0
@@ -75,7 +75,7 @@ def about_knot(
             pool.check(pairings.matrix[k], observed, guide, scale, math.exp(pairings.log_focal[k]))
             verified += 1
     pool.note(f"{verified} attitudes about the matched stars, with other rolls and focal lengths, were verified")
-    again = pool.judge(observed)
+    again = pool.outcome(observed)
     if again.status is not Status.SOLVED:
         return again
     chance = again.log_false_alarm - found.log_false_alarm + math.log(verified)

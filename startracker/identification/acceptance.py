@@ -54,7 +54,7 @@ def log_chance(
     Parameters
     ----------
     log_evidence, rivals : float, sequence of float
-        ln B of the best answer, and those of its rivals.
+        ln B of the best answer, and of each rival.
     log_gain : float
         ln of the factor on all B: above 0 for a prior, below 0 for patterns tried.
     log_density : float
@@ -197,7 +197,7 @@ def hypothesis_of(found: Verified) -> Hypothesis | None:
 
 
 def tried_scales(observed: Observed, guide: GuideDatabase) -> tuple[float, ...]:
-    """Those of `SCALES` with which the errors remain a small share of the field's half diagonal; at least the first."""
+    """The `SCALES` with which the errors remain a small share of the field's half diagonal; at least the first."""
     largest = WIDEST_SHARE * guide.half_diagonal_rad / float(np.median(observed.sigma_rad))
     return tuple(scale for scale in SCALES if scale <= largest) or SCALES[:1]
 
@@ -308,9 +308,9 @@ class HypothesisPool:
         """Whether the best hypothesis exceeds the limit so far that no other can compete."""
         return bool(self.hypotheses) and self.log_chance < self.limit - SURE_BEYOND
 
-    def judge(self, observed: Observed) -> Identification:
+    def outcome(self, observed: Observed) -> Identification:
         """Outcome with its reason: solved, ambiguous, no match, or ended by the limit on operations."""
-        found = self._judge(observed)
+        found = self._outcome(observed)
         if found.status is Status.SOLVED:
             return found
         status, reason = found.status, found.reason
@@ -320,7 +320,7 @@ class HypothesisPool:
             status = Status.SEARCH_LIMIT
         return replace(found, status=status, reason=reason, operations=self.operations)
 
-    def _judge(self, observed: Observed) -> Identification:
+    def _outcome(self, observed: Observed) -> Identification:
         seen = f"{len(observed)} stars seen"
         if self.prior is not None:
             seen += f", prior within {math.degrees(self.prior.radius_rad):.2g}°"

@@ -143,7 +143,7 @@ def adaptive(
     quick, thorough = _assumptions(settings, observed)
     if not any(search.triangles(assumption) for assumption in quick) and not search.fits_as_stated:
         any(search.votes(assumption) for assumption in thorough)
-    return search.pool.judge(observed)
+    return search.pool.outcome(observed)
 
 
 def _assumptions(

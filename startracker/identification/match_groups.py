@@ -86,7 +86,7 @@ def match_groups(
         for scale in scales:
             search = _Search.prepare(chosen, guide, pool, scale)
             if search is None:
-                return pool.judge(observed)
+                return pool.outcome(observed)
             pool.note(f"match groups within {scale:g} stated errors: largest {search.largest} stars")
             decisive = 0
             for threshold in search.thresholds():
@@ -98,7 +98,7 @@ def match_groups(
                         decisive = size
                 if decisive or pool.cut_short:
                     break
-            verdict = pool.judge(observed)
+            verdict = pool.outcome(observed)
             if verdict.status is Status.SOLVED or pool.cut_short:
                 return verdict
     return verdict

@@ -88,7 +88,7 @@ def pattern_hash(
         pool.note(f"errors {scale:g} times as stated: {looked} patterns looked up, {len(known)} attitudes checked")
         if pool.hypotheses and pool.log_chance <= pool.limit:
             break
-    return pool.judge(observed)
+    return pool.outcome(observed)
 
 
 def _plan(scale: float, work: float, observed: Observed, prior: Prior | None) -> Plan:

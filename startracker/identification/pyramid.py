@@ -85,6 +85,8 @@ def pyramid(
     triples = smart_triples(n)
     table, view = _guide_pairs(guide, prior), guide.view
     fixed = settings.separation_tolerance_deg is not None
+    # A tolerance in degrees does not depend on the stated errors. One search is then enough, with the widest gate of
+    # the verification, which narrows it by itself (`verify`).
     scales = SCALES[-1:] if fixed else tried_scales(observed, guide)
     seen = {scale: _seen(observed, n, settings, scale) for scale in scales}
     for most, confirming, budget in _ROUNDS:
@@ -105,12 +107,12 @@ def pyramid(
                     checked += 1
                     pool.check(matrices[f], observed, guide, scale)
                 if finds and pool.decided:
-                    return pool.judge(observed)
+                    return pool.outcome(observed)
             pool.note(
                 f"pyramids within {scale:g} stated errors: {reached} of {len(triples)} triangles, "
                 + (f"the best confirmed by {best} further stars" if best else "none confirmed by a fourth star")
             )
-        verdict = pool.judge(observed)
+        verdict = pool.outcome(observed)
         if verdict.status is Status.SOLVED or pool.cut_short:
             break
     return verdict
@@ -294,10 +296,12 @@ def _triangle(
     shortest_jk = 4.0 * math.sin(0.5 * max(sides[2] - seen.tolerance[j, k], 0.0)) ** 2
     longest_jk = 4.0 * math.sin(0.5 * min(sides[2] + seen.tolerance[j, k], math.pi)) ** 2
     for p in range(low_ik, high_ik):
+        if budget <= 0:  # what was found so far counts
+            break
         for turn in range(2):
             a, c = (pairs.first[p], pairs.second[p]) if turn == 0 else (pairs.second[p], pairs.first[p])
             link = pairs.head[a]
-            while link >= 0:
+            while link >= 0 and budget > 0:
                 b, link = partner[link], chain[link]
                 budget -= 1
                 chord = 0.0
@@ -315,8 +319,6 @@ def _triangle(
                 budget -= steps + 20
                 if matches >= least:
                     _keep(finds, rotation, matches)
-                elif budget <= 0:
-                    break
     for p in range(low_ij, high_ij):
         pairs.head[pairs.first[p]] = pairs.head[pairs.second[p]] = -1
     return budget

@@ -108,11 +108,12 @@ def _identify(
     # x along the columns, y up (against the rows), in units of the pixel's angle at the boresight.
     xy = vectors[:, :2] / vectors[:, 2:] * [1.0, -1.0] / guide.camera.pixel_rad
     fixed = settings.separation_tolerance_deg
-    # A tolerance given in degrees does not depend on the stated errors, so that one scale, the widest, is sufficient.
+    # A tolerance in degrees does not depend on the stated errors. One search is then enough, with the widest gate of
+    # the verification, which narrows it by itself (`verify`).
     scales = tried_scales(observed, guide) if fixed is None else SCALES[-1:]
     tables = _tables(guide, prior, arithmetic)
     i, j, separations = observed_pairs(vectors)
-    verdict = pool.judge(observed)
+    verdict = pool.outcome(observed)
     for scale in scales:
         tolerance = pair_tolerance(
             observed.sigma_rad[before] * scale, i, j, separations, None if fixed is None else math.radians(fixed)
@@ -144,7 +145,7 @@ def _identify(
             f"triads within {scale:g} stated errors: {len(match.triads)} in {len(sizes)} groups, the largest of "
             f"{sizes.max(initial=0)}; {checked} groups name three stars"
         )
-        verdict = pool.judge(observed)
+        verdict = pool.outcome(observed)
         if verdict.status is Status.SOLVED or pool.cut_short:
             break
     return verdict

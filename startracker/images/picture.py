@@ -31,7 +31,7 @@ _LEAST_SIDE_PX = 600
 
 
 def figure_bytes(figure: Figure, form: str = "png", **options: Any) -> bytes:
-    """Figure in one of `FORMATS`, deterministic; `options` are those of `Figure.savefig`."""
+    """Figure in one of `FORMATS`, deterministic; `options` are passed to `Figure.savefig`."""
     from matplotlib import rc_context
 
     if form in ("jpg", "jpeg"):

@@ -77,7 +77,7 @@ class CalibratedSession(TrackingSession):
         with self._lock:
             given = given_image(image, observer, None, saturation_dn, gain_e_per_dn)
             seen = given._replace(image=self.calibration.masked(given.image))
-            return self._learned(super().update(seen, t_s, gyro_rad_s=gyro_rad_s), given)
+            return self._calibrated(super().update(seen, t_s, gyro_rad_s=gyro_rad_s), given)
 
     def update_centroids(
         self,
@@ -91,9 +91,9 @@ class CalibratedSession(TrackingSession):
         """Attitude from given star positions, and update of the lens; see `TrackingSession.update_centroids`."""
         with self._lock:
             found = super().update_centroids(xy, flux, t_s, gyro_rad_s=gyro_rad_s, observer=observer)
-            return self._learned(found, None)
+            return self._calibrated(found, None)
 
-    def _learned(self, solution: Solution, given: GivenImage | None) -> Solution:
+    def _calibrated(self, solution: Solution, given: GivenImage | None) -> Solution:
         """The solution with its complete covariance, after the calibration was updated with it."""
         now_s = self._clock.now_s
         if solution.attitude is None or solution.covariance is None or now_s is None:

@@ -21,7 +21,7 @@ from startracker.identification.acceptance import log_chance, power_of_ten
 from startracker.observer import Observer
 from startracker.solution import MatchedStars, Solution, Status
 from startracker.tracker import StarTracker
-from startracker.tracking.looking import Expected, Seen
+from startracker.tracking.candidates import Candidates, Expected
 from startracker.tracking.matching import GATE2, track
 from startracker.tracking.mekf import Innovation, Mekf
 from startracker.unexplained import LEAST_SHARE, Unexplained, is_part_hidden, unexplained_of
@@ -47,7 +47,7 @@ class Followed:
 
     filter: Mekf
     innovation: Innovation
-    seen: Seen
+    seen: Candidates
     expected: Expected
     stars: IntArray
     partner: IntArray
@@ -128,7 +128,7 @@ class Followed:
 def follow(
     prediction: Mekf,
     camera: Camera,
-    seen: Seen,
+    seen: Candidates,
     expected: Expected,
     false_rejection: float,
     estimator: Estimator | None = None,
@@ -141,7 +141,7 @@ def follow(
         Filter at the time of the frame; not modified.
     camera : Camera
         Camera of the tracker.
-    seen, expected : Seen, Expected
+    seen, expected : Candidates, Expected
         Detected stars, and guide stars at their predicted positions.
     false_rejection : float
         Probability of rejecting a correct measurement (`TrackingSettings`).
@@ -198,7 +198,7 @@ def follow(
 def leaves_out_stars(
     prediction: Mekf,
     after: Mekf,
-    seen: Seen,
+    seen: Candidates,
     expected: Expected,
     stars: IntArray,
     partner: IntArray,
@@ -219,7 +219,7 @@ def leaves_out_stars(
     ----------
     prediction, after : Mekf
         Before and after the update with the matched stars.
-    seen, expected : Seen, Expected
+    seen, expected : Candidates, Expected
         Detected stars, and guide stars at their predicted positions.
     stars, partner : (M,)
         Matched rows of both.
@@ -249,7 +249,7 @@ def _are_beside(chance: FloatArray, number: int, fewest: int) -> bool:
 
 
 def _allows(
-    prediction: Mekf, seen: Seen, expected: Expected, stars: IntArray, guides: IntArray, pixel_rad: float
+    prediction: Mekf, seen: Candidates, expected: Expected, stars: IntArray, guides: IntArray, pixel_rad: float
 ) -> NDArray[np.bool_]:
     """Whether each star may be a guide star, both (N,), with the errors of the prediction and of the star."""
     towards = expected.predicted[guides]

@@ -40,6 +40,8 @@ def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, Flo
     w = math.sqrt(w2)
     a = w * dt
     a2 = a * a
+    # s1, c1, d1, f1, e1 are the factors of the integrals below. Their closed forms lose all digits by cancellation when
+    # the angle of the step is small, so that their Taylor series are used there.
     if a < _SMALL:
         s1 = dt * (1.0 - a2 / 6.0 + a2 * a2 / 120.0)
         c1 = dt**2 * (0.5 - a2 / 24.0 + a2 * a2 / 720.0)
@@ -53,6 +55,7 @@ def transition(rate: FloatArray, dt: float) -> tuple[FloatArray, FloatArray, Flo
         f1 = (0.5 * dt**2 - c1) / w2
         e1 = (dt**3 / 3.0 - 2.0 * d1) / w2
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # K², as ω ωᵀ − ω² I.
     square = np.array([[x * x - w2, x * y, x * z], [x * y, y * y - w2, y * z], [x * z, y * z, z * z - w2]])
     one = np.eye(3)
     phi = one - s1 * cross + c1 * square
@@ -112,6 +115,7 @@ def propagate(
     full[:3, :3] = phi
     full[:3, 3:6] = sign * psi
     if len(covariance) > 6:
+        # A scale factor acts as a bias that is proportional to the rate about its own axis: the columns of ∫Φ times ω.
         full[:3, 6:9] = sign * psi * rate
     out = full @ covariance @ full.T
     for i in range(3):
@@ -155,6 +159,7 @@ def correct(
     substitute(factor, m, weighed)
     for i in range(len(gain)):
         substitute(factor, m, gain[i])
+    # Joseph's form keeps the covariance positive definite where (I − K H) P would lose that to rounding.
     left = np.eye(len(covariance)) - gain @ h
     out = left @ covariance @ left.T + gain @ noise @ gain.T
     if m == 3:
@@ -205,6 +210,7 @@ def vector_measurement(
     predicted = np.empty_like(reference)
     transform(matrix, reference, predicted)
     information, right = normal_equations(observed, observed, predicted, np.arange(len(observed)), sigma, 3)
+    # An axis without information, the roll about a single star, would have an infinite variance; it is left out.
     values, vectors = np.linalg.eigh(information)
     first = 0
     while values[first] <= BLIND * values[2]:

@@ -15,25 +15,33 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.arguments import ABOVE_0, of_kind, real_array, real_number
+from startracker.arguments import ABOVE_0, of_kind, plain, real_array, real_number
 from startracker.core import FloatArray
 from startracker.display import described
-from startracker.estimation.refine_stars import STATED_PX
+from startracker.field_solution import STATED_PX, unsolved
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude, camera_attitude
 from startracker.identification.acceptance import accepts
 from startracker.inputs import GivenImage, given_image
 from startracker.inputs import plain as plain_array
-from startracker.interop import plain
 from startracker.observer import Observer, corrects_aberration
 from startracker.settings import TrackingSettings
 from startracker.settings.checks import settings_or_default
 from startracker.solution import Solution, Status
 from startracker.tracker import StarTracker
+from startracker.tracking.candidates import (
+    Candidates,
+    Expected,
+    Sky,
+    as_pixels,
+    given_candidates,
+    measure_windows,
+    streak_px,
+    window_half,
+)
 from startracker.tracking.checked import checked_rate
 from startracker.tracking.consistency import Scatter, at_least_stated
 from startracker.tracking.following import Followed
-from startracker.tracking.looking import Expected, Seen, Sky, as_pixels, centroids_seen, look, streak_px, window_half
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
 from startracker.tracking.standstill import FrameMemory, list_key
 from startracker.tracking.state import FrameClock, TrackingState
@@ -193,13 +201,11 @@ class TrackingSession:
     def _update_image(self, given: GivenImage, clock: Clock) -> Solution:
         expected, accepted = self._expect(given.observer), None
         if expected is not None and self._filter is not None:
-            exposure_s = given.exposure_s or self.exposure_s
-            length = streak_px(self.tracker, self._filter.rate_rad_s, exposure_s)
-            half = window_half(
-                self.tracker, expected, self._filter.attitude_covariance, length, self.settings.max_window_px
-            )
+            length = streak_px(self.tracker, self._filter.rate_rad_s, given.exposure_s or self.exposure_s)
+            covariance, largest_half = self._filter.attitude_covariance, self.settings.max_window_px
+            half = window_half(self.tracker, expected, covariance, length, largest_half)
             detector = given.saturation_dn, given.gain_e_per_dn
-            seen = look(given.image, self.tracker, expected, half, length, self._scatter.factor, *detector)
+            seen = measure_windows(given.image, self.tracker, expected, half, length, self._scatter.factor, *detector)
             clock.lap("windows")
             followed = self._follow(seen, expected)
             if self._accepts(followed):
@@ -214,7 +220,7 @@ class TrackingSession:
         if not found.solved and expected is not None:
             # windows contain chance neighbours; over the whole frame a few stars at predicted positions have more
             # weight
-            seen = centroids_seen(self.tracker, found.centroids, None, max(self._scatter.factor, 1.0))
+            seen = given_candidates(self.tracker, found.centroids, None, max(self._scatter.factor, 1.0))
             followed = self._follow(seen, expected)
         return self._whole_frame(found, followed, prior, prior_deg, clock, None)
 
@@ -274,16 +280,7 @@ class TrackingSession:
     def _refuse(self, status: Status, reason: str, xy: FloatArray, clock: Clock) -> Solution:
         """Solution of a frame that is not used."""
         self.state = TrackingState("coasting", note=self._note)
-        camera = self.tracker.camera
-        return Solution(
-            status,
-            self._with_note(reason),
-            centroids=xy,
-            fov_deg=camera.fov_deg,
-            parity=camera.parity,
-            times_ms=clock.times_ms(),
-            camera=camera,
-        )
+        return unsolved(self.tracker.camera, status, self._with_note(reason), clock, xy)
 
     def _with_note(self, reason: str) -> str:
         return f"{reason}; {self._note}" if self._note else reason
@@ -296,7 +293,7 @@ class TrackingSession:
         return expected if len(expected.index) else None
 
     # ------------------------------------------------------------------ following
-    def _follow(self, seen: Seen | None, expected: Expected) -> Followed | None:
+    def _follow(self, seen: Candidates | None, expected: Expected) -> Followed | None:
         """The frame matched with the prediction; None if it cannot be, or only the tracker can judge it."""
         if seen is None:
             return None
@@ -311,7 +308,7 @@ class TrackingSession:
         if expected is None or not fits:  # the tracker reports invalid input
             return None
         signal = None if flux is None else np.asarray(flux, dtype=float).reshape(-1)
-        return self._follow(centroids_seen(self.tracker, points, signal, self._scatter.factor), expected)
+        return self._follow(given_candidates(self.tracker, points, signal, self._scatter.factor), expected)
 
     def _accepts(self, followed: Followed | None) -> TypeGuard[Followed]:
         """Whether a followed frame is accepted by the rule of `identification.acceptance`."""
@@ -335,7 +332,7 @@ class TrackingSession:
         if fault := self._watched.contradiction(alone):
             return self._refuse(Status.GYRO_MISMATCH, fault, seen.xy, clock)
         self._watched.take_followed(followed)
-        self._watched.seen(alone)
+        self._watched.add_star_attitude(alone)
         self._watched.mark_solved(self._used(seen.xy[stars]))
         self._scatter.add(followed.residual_px, seen.stated_px[stars])
         self.state = TrackingState(
@@ -346,7 +343,6 @@ class TrackingSession:
             matched=len(stars),
             log_chance=followed.log_chance,
             innovation=followed.innovation,
-            restarted=False,
             distrusted=self._watched.distrusted,
             note=self._note,
             window_xy=seen.window_xy,
@@ -378,9 +374,8 @@ class TrackingSession:
                 self._used(followed.seen.xy[followed.stars])
             self.state = TrackingState("lost_in_space", matched=matched, innovation=innovation, note=self._note)
             return replace(found, reason=self._with_note(found.reason), times_ms=clock.times_ms())
-        mode = "lost_in_space"
-        if prior is not None and found.attitude.angle_to(prior) <= math.radians(prior_deg) * math.sqrt(3.0):
-            mode = "prior"
+        within = prior is not None and found.attitude.angle_to(prior) <= math.radians(prior_deg) * math.sqrt(3.0)
+        mode = "prior" if within else "lost_in_space"
         covariance = self._watched.own_covariance(found.attitude, found.covariance)
         alone = found.attitude.quat, covariance
         if fault := self._watched.contradiction(alone):
@@ -390,7 +385,7 @@ class TrackingSession:
             self._scatter.begin(stars.residual_px, np.full(len(stars), stated_px))
             covariance = at_least_stated(covariance, self.tracker.camera, stars.xy, stated_px)
         innovation, restarted = self._watched.take_attitude(self._used(found.stars.xy), found.attitude, covariance)
-        self._watched.seen(alone)
+        self._watched.add_star_attitude(alone)
         self.state = TrackingState(
             mode,
             True,

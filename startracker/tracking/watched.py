@@ -16,10 +16,10 @@ from startracker.geometry.camera import Camera
 from startracker.identification.acceptance import accepts
 from startracker.observer import unknown_aberration
 from startracker.settings import IdentificationSettings
+from startracker.tracking.candidates import Candidates, Expected
 from startracker.tracking.checked import FASTEST_RAD_S
 from startracker.tracking.consistency import InnovationWindow
 from startracker.tracking.following import Followed, follow
-from startracker.tracking.looking import Expected, Seen
 from startracker.tracking.mekf import GyroNoise, Innovation, Mekf, RateNoise
 from startracker.tracking.standstill import StandstillWatch
 
@@ -141,7 +141,7 @@ class WatchedFilter:
         return (self.mekf.attitude, width) if width <= limit_deg else (None, 1.0)
 
     def follow(
-        self, camera: Camera, seen: Seen, expected: Expected, settings: IdentificationSettings
+        self, camera: Camera, seen: Candidates, expected: Expected, settings: IdentificationSettings
     ) -> Followed | None:
         """Match a frame with the prediction (`following.follow`).
 
@@ -169,7 +169,7 @@ class WatchedFilter:
             self.mekf = self._still.filter.copy()
         return reason
 
-    def seen(self, stars: StarAttitude | None) -> None:
+    def add_star_attitude(self, stars: StarAttitude | None) -> None:
         """The attitude of the stars of a frame that was used."""
         if self._still is not None and self.mekf is not None:
             if stars is None:
@@ -180,7 +180,7 @@ class WatchedFilter:
     def take_followed(self, followed: Followed) -> None:
         """Continue with the filter of a followed frame."""
         self.mekf = followed.filter
-        self._learn(followed.innovation)
+        self._update_noise(followed.innovation)
 
     def take_attitude(self, now_s: float, attitude: Attitude, covariance: FloatArray) -> tuple[Innovation | None, bool]:
         """Update with an attitude of the tracker; returns its innovation, and whether the filter was restarted."""
@@ -196,7 +196,7 @@ class WatchedFilter:
         restarted = innovation is None or not innovation.accepted
         if restarted:
             self._restart(now_s, attitude, covariance)
-        self._learn(innovation)
+        self._update_noise(innovation)
         self.mark_solved(now_s)
         return innovation, restarted
 
@@ -205,7 +205,7 @@ class WatchedFilter:
         assert self.mekf is not None
         self._solved = now_s, self.mekf.quat
 
-    def _learn(self, innovation: Innovation | None) -> None:
+    def _update_noise(self, innovation: Innovation | None) -> None:
         assert self.mekf is not None
         if innovation is not None and innovation.accepted:
             self._window.add(innovation)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from simulator.scenario import Scenario
-from simulator.study.statistics import AXES, CAMERA_AXES
+from simulator.study.axes import AXES, CAMERA_AXES
 from simulator.study.trials import blocks, dask_pool, engine, process_pool
 
 SLEEP_S = float(sys.argv[4]) if __name__ in {"__main__", "__mp_main__"} else 0.002

@@ -12,6 +12,7 @@ import pytest
 from simulator.checks import load_scenario
 from simulator.live.messages import solution_message
 from simulator.live.mission import LiveMission
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet.frames import DatasheetFrames
 from simulator.study.exported_c.targets import HOST
 from simulator.study.flight import library
@@ -21,7 +22,6 @@ from simulator.study.flight.program import FlightProgram, list_text, velocity_of
 from simulator.study.flight.session import FlightSession
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.heads import HeadsRunner
-from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trackers import session_of
 from simulator.study.trials.engine import run_trials
 from simulator.study.trials.trial import TrialRunner, solve_frame

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from simulator import Scenario, render
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.sequence.run import run_sequence
 from simulator.study.star_tracker import build_tracker
-from simulator.study.statistics import CAMERA_AXES
 from startracker.tracking import TrackingSession
 
 pytestmark = pytest.mark.system

@@ -12,6 +12,7 @@ import pytest
 from pages import browser, faults, faults_on_paper, screens
 
 from simulator.checks import load_scenario
+from simulator.study.axes import AXES
 from simulator.study.pages.html import html_of
 from simulator.study.point_statistics import point_statistics
 from simulator.study.sequence.page import sequence_page
@@ -19,7 +20,6 @@ from simulator.study.sequence.run import run_sequence
 from simulator.study.specification.measured import Measured
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import judge
-from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare
 from simulator.study.sweep.comparison_page import comparison_page
 from simulator.study.sweep.page import sweep_page

@@ -16,8 +16,8 @@ from simulator.optics.psf_model import PsfModel
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.earth import angular_radius_rad, occulted, stray_sources, unhidden
+from simulator.sky.instants import Bodies
 from simulator.sky.parameters import Sky
-from simulator.sky.solar_system import Bodies
 
 R_KM = np.array([7178.0, 0.0, 0.0])
 

@@ -27,8 +27,8 @@ from simulator.sky.earth import (
     occulted,
     stray_sources,
 )
+from simulator.sky.instants import EARTH_DISK_KM, Bodies
 from simulator.sky.parameters import Sky
-from simulator.sky.solar_system import EARTH_DISK_KM, Bodies
 from startracker.geometry.attitude import Attitude, direction_to_radec
 from startracker.geometry.camera import Camera
 

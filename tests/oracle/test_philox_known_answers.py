@@ -7,9 +7,9 @@ in the test suites of many libraries (TensorFlow among them). Bits, so that ther
 import numpy as np
 import pytest
 
-from simulator.detector.philox import draw_key, fill_bits, further_bits
+from simulator.detector.philox import fill_bits, further_bits
 from simulator.detector.steps import TILE
-from simulator.randomness import stream
+from simulator.randomness import draw_key, stream
 
 PI = (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344, 0xA4093822, 0x299F31D0)
 

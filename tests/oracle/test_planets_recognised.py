@@ -5,14 +5,14 @@ import pytest
 
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
-from simulator.sky.solar_system import bodies_seen_from
+from simulator.sky.instants import bodies_seen_from
 from simulator.study.trials.trial import TrialRunner
 from startracker import Attitude, Camera, Observer, StarTracker
 from startracker.catalog.bodies import NO_BODIES, body_directions
 from startracker.core import ARCSEC_RAD, DAYS_PER_JULIAN_YEAR, J2000_JD_TT
 from startracker.ephemeris import astrometric_au, barycentric, timescale
 from startracker.observer import aberrate
-from startracker.tracking.looking import Sky
+from startracker.tracking.candidates import Sky
 
 
 def near_earth(year):
@@ -89,7 +89,7 @@ def test_a_planet_beside_a_star_is_no_star(monkeypatch):
     flux = np.append(10.0 ** (-0.4 * guide.v_mag[index[others]]), 10.0 ** (-0.4 * guide.v_mag[row]))
     star = int(guide.catalog.id[row])
     with monkeypatch.context() as patch:
-        patch.setattr("startracker.estimation.refine_stars.seen_bodies", lambda *_: NO_BODIES)
+        patch.setattr("startracker.field_solution.seen_bodies", lambda *_: NO_BODIES)
         unaware = tracker.solve_centroids(points, flux, sigma_px=0.5, observer=observer)
     assert star in unaware.stars.catalog_id.tolist()
     solution = tracker.solve_centroids(points, flux, sigma_px=0.5, observer=observer)

@@ -20,8 +20,8 @@ from simulator.optics.smear import star_paths
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.ephemeris import is_sunlit
+from simulator.sky.instants import sun_position_au
 from simulator.sky.satellites import behind_earth, diffuse_phase, standard_magnitude, sunlit_share
-from simulator.sky.solar_system import sun_position_au
 from startracker.core import ARCSEC_RAD, AU_KM
 from startracker.ephemeris import barycentric, de421, timescale
 from startracker.errors import InputError

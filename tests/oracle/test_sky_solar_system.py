@@ -11,11 +11,12 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
+from simulator.constants import RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.sky.ephemeris import observe, sky_time
+from simulator.sky.instants import solar_system, sun_position_au
 from simulator.sky.magnitudes import SATURN_POLE, URANUS_AXES_SQUARED, URANUS_POLE, moon_v, planet_v, sun_v
 from simulator.sky.parameters import Sky
-from simulator.sky.solar_system import RADIUS_KM, solar_system, sun_position_au
 from startracker.core import ARCSEC_RAD, AU_KM, MAS_RAD
 from startracker.ephemeris import barycentric
 from startracker.errors import InputError

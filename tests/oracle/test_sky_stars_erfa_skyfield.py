@@ -16,8 +16,8 @@ import pytest
 from simulator.mission.clock import Clock
 from simulator.sky.apparent import apparent_directions, bend_by_sun
 from simulator.sky.ephemeris import observe
+from simulator.sky.instants import solar_system, sun_position_au
 from simulator.sky.parameters import Sky
-from simulator.sky.solar_system import solar_system, sun_position_au
 from startracker.catalog import load_catalog
 from startracker.core import ARCSEC_RAD, AU_KM, MAS_RAD
 from startracker.observer import aberrate

@@ -1,6 +1,7 @@
 """Numbers of the published tables of the sky, one by one."""
 
-from simulator.sky.solar_system import B_V, RADIUS_KM
+from simulator.constants import RADIUS_KM
+from simulator.sky.instants import B_V
 
 
 def test_equatorial_radii_are_those_of_the_iau():

@@ -12,7 +12,7 @@ from startracker import centroid, detection
 from startracker.front_end import Clock, find_stars
 from startracker.inputs import given_image
 from startracker.settings import CentroidSettings, DetectionSettings
-from startracker.tracking.looking import Sky, look
+from startracker.tracking.candidates import Sky, measure_windows
 
 FRAMES = 12
 CAMERAS = 6
@@ -69,5 +69,7 @@ def test_it_is_added_in_the_windows_of_tracking(frame_and_tracker):
     found = []
     for error_px in (0.0, 0.3):
         tracker.centroid = CentroidSettings(camera_model_px=error_px)
-        found.append(look(frame.image, tracker, expected, 12, 0.0, 1.0, frame.saturation_dn, frame.gain_e_per_dn))
+        found.append(
+            measure_windows(frame.image, tracker, expected, 12, 0.0, 1.0, frame.saturation_dn, frame.gain_e_per_dn)
+        )
     np.testing.assert_allclose(found[1].stated_px ** 2 - found[0].stated_px ** 2, 0.09, rtol=1e-9)

@@ -12,11 +12,11 @@ from scipy.stats import norm
 
 from startracker.detection import Background, find_components
 from startracker.detection.artefacts import common_width
+from startracker.detection.components import line_up
 from startracker.detection.forms import brightest_first
 from startracker.detection.matched import matched_kernel
 from startracker.detection.sources import SOURCE
 from startracker.detection.thresholds import ONE_PIXEL_SHARE, SHARP_SHARE
-from startracker.detection.trailed import line_up
 from startracker.settings import DetectionSettings
 
 SIZE, NOISE, SIGMA, PITCH = 512, 4.0, 0.8, 32

@@ -9,7 +9,7 @@ from startracker.catalog.sky_view import apparent_directions
 from startracker.core import SPEED_OF_LIGHT_KM_S
 from startracker.geometry.camera import Camera
 from startracker.geometry.distortion import Distortion, undistort
-from startracker.inputs import SAME_STAR_PX, clean_centroids
+from startracker.inputs import SAME_STAR_PX, usable_centroids
 from startracker.observer import Observer, aberrate
 
 
@@ -60,7 +60,7 @@ def test_cones_hold_the_fastest_stars_long_after_the_grid_was_made():
 def test_of_centroids_too_near_the_first_stays():
     rng = np.random.default_rng(3)
     xy = rng.uniform(0.0, 12.0, (60, 2))
-    kept, _ = clean_centroids(xy, None, Camera.from_fov(10.0, 512, 512))
+    kept, _, _ = usable_centroids(xy, None, 512, 512)
     apart = np.abs(xy[:, None] - xy[None, :]).max(axis=2) < SAME_STAR_PX
     expected = [i for i in range(len(xy)) if not apart[i, :i].any()]
     assert kept.tolist() == xy[expected].tolist()

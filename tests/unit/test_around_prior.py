@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from startracker.field_solution import identify_around
 from startracker.identification.acceptance import WITHIN_PRIOR_BEYOND
-from startracker.identification.around_prior import identify_around
 from startracker.identification.observed import Identification
 from startracker.settings import IdentificationSettings
 from startracker.solution import Status

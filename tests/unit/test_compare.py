@@ -8,9 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from simulator.checks import load_scenario
+from simulator.study.axes import AXES
 from simulator.study.pages.html import html_of
 from simulator.study.point_statistics import point_statistics
-from simulator.study.statistics import AXES
 from simulator.study.sweep.compare import compare, differences
 from simulator.study.sweep.comparison_page import comparison_page
 from startracker.errors import InputError

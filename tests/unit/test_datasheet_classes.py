@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet.accuracy import _sum_of_classes
 from simulator.study.datasheet.classes import CLASSES, Separated, _figures, separate
 from simulator.study.datasheet.scan import (
@@ -22,7 +23,6 @@ from simulator.study.datasheet.scan import (
     scan_geometry,
 )
 from simulator.study.intervals import moment_intervals
-from simulator.study.statistics import CAMERA_AXES
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 

@@ -11,6 +11,7 @@ import pytest
 from scipy.special import ndtri
 
 from simulator import Scenario
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet import sky
 from simulator.study.datasheet.accuracy import _against_bound, _classes, _noise_levels, _whole
 from simulator.study.datasheet.classes import CLASSES, separate
@@ -20,7 +21,6 @@ from simulator.study.datasheet.performance import acquisition, exclusion, rates,
 from simulator.study.datasheet.scan import PASSES, scan_geometry
 from simulator.study.datasheet.sheet import LEVELS, Amounts, Estimate, Quantity, select
 from simulator.study.datasheet.tables import accuracy_table
-from simulator.study.statistics import CAMERA_AXES
 
 SCENARIO = Scenario.load("scenarios/sunsat.yaml")
 AMOUNTS = Amounts(*[40] * len(dataclasses.fields(Amounts)))

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.special import log_ndtr, ndtri, ndtri_exp
 
 from simulator.detector.gaussian import TAIL, add_gaussian, gaussian_from_bits, tail_words, upper_quantile
-from simulator.detector.philox import draw_key, further_bits
+from simulator.detector.philox import further_bits
 from simulator.detector.simd import fma
-from simulator.randomness import stream
+from simulator.randomness import draw_key, stream
 
 
 def from_words(words):

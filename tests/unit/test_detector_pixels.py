@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from simulator.detector.philox import draw_key, fill_bits
+from simulator.detector.philox import fill_bits
 from simulator.detector.pixels import apply_steps
 from simulator.detector.steps import (
     AMPLIFY,
@@ -19,7 +19,7 @@ from simulator.detector.steps import (
     Step,
     of_map,
 )
-from simulator.randomness import stream
+from simulator.randomness import draw_key, stream
 
 
 def normal(shape, rng, sigma=1.0):

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from simulator.detector.gaussian import gaussian_from_bits
-from simulator.detector.philox import draw_key, fill_bits, further_bits
+from simulator.detector.philox import fill_bits, further_bits
 from simulator.detector.pixels import apply_steps
 from simulator.detector.poisson import (
     HIGHEST,
@@ -23,7 +23,7 @@ from simulator.detector.poisson import (
     shot_noise,
 )
 from simulator.detector.steps import SHOT_NOISE, TILE, Step
-from simulator.randomness import stream
+from simulator.randomness import draw_key, stream
 from startracker.errors import InputError
 
 RATES = [6.0, 6.3, 7.9, 10.0, 15.2, 20.0, 33.3, 64.0, 300.0, 2000.0, 9e3, 65_000.0]

@@ -5,7 +5,8 @@ import pytest
 
 from startracker import Attitude, Camera, StarTracker, Status, solve_unknown_fov
 from startracker.detection import METHODS, estimate
-from startracker.explain import as_text, background_step, detection_steps, hints, image_sample, image_step, listed_step
+from startracker.explain import as_text, background_step, detection_steps, hints, image_step, listed_step
+from startracker.inputs import image_sample
 from startracker.settings import DetectionSettings
 from startracker.trace import Step
 

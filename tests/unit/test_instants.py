@@ -10,8 +10,7 @@ from simulator.scenario import Scenario
 from simulator.scene import BLOCK_TRIALS, GivenState
 from simulator.sky.earth import unhidden
 from simulator.sky.ephemeris import observe
-from simulator.sky.instants import Instants
-from simulator.sky.solar_system import solar_system, sun_position_au
+from simulator.sky.instants import Instants, solar_system, sun_position_au
 
 INDICES = (0, 1, BLOCK_TRIALS - 1, BLOCK_TRIALS, 5 * BLOCK_TRIALS + 7)
 

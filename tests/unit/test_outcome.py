@@ -5,6 +5,7 @@ import pytest
 
 from simulator.cli.verdicts import outcome_cell
 from simulator.scenario import Scenario
+from simulator.study.axes import AXES
 from simulator.study.point_statistics import point_statistics
 from simulator.study.report.content import outlier_positions
 from simulator.study.specification.measured import judge_frames
@@ -17,7 +18,7 @@ from simulator.study.specification.outcome import (
     outcome_flags,
     outcome_text,
 )
-from simulator.study.statistics import AXES, summarise
+from simulator.study.statistics import summarise
 
 COUNT = 200
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from startracker.detection import METHODS, Background, Spots, estimate
-from startracker.detection.trailed import decide
+from startracker.detection.components import decide
 from startracker.settings import DetectionSettings
 
 SIGMA, NOISE, SIZE = 1.2, 5.0, 256

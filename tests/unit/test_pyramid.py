@@ -11,7 +11,8 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.identification.observed import Observed, Prior
-from startracker.identification.pyramid import pyramid, smart_triples
+from startracker.identification.pairs import find_range
+from startracker.identification.pyramid import _guide_pairs, _seen, pyramid, search_pyramids, smart_triples
 from startracker.settings import PyramidSettings
 from startracker.solution import Status
 
@@ -109,3 +110,20 @@ def test_hopeless_input_has_a_status(guide):
         assert found.status in (Status.NO_MATCH, Status.AMBIGUOUS)
     assert pyramid(Observed(line[:2], None, np.full(2, pixel)), guide, SETTINGS).status is Status.TOO_FEW_STARS
     assert pyramid(Observed(np.empty((0, 3)), None, np.empty(0)), guide, SETTINGS).status is Status.NO_STARS
+
+
+def test_a_triangle_ends_when_the_budget_is_used_up(guide):
+    """Of a triangle with thousands of candidates, the ranges of its two pairs alone use up the budget."""
+    _, observed, _ = scene(guide, np.random.default_rng(11), 0.3)
+    seen = _seen(observed, 6, PyramidSettings(separation_tolerance_deg=0.2), 10.0)
+    table, triples = _guide_pairs(guide, None), smart_triples(6)[:1]
+    i, j, k = triples[0]
+    ranges = 0
+    for other in (j, k):
+        side, tolerance = seen.separation[i, other], seen.tolerance[i, other]
+        low, high = find_range(table.vector, side - tolerance, side + tolerance)
+        ranges += high - low
+    assert ranges > 1000
+    reached, *_, left = search_pyramids(seen, triples, 0, table, guide.view, 1, 10)
+    assert (reached, 10 - left) == (1, ranges)
+    assert (table.head == -1).all()

@@ -7,6 +7,7 @@ import pytest
 
 from simulator.cli import main
 from simulator.scenario import Scenario
+from simulator.study.axes import AXES, BODY_AXES
 from simulator.study.pages.html import html_of
 from simulator.study.pages.page import Figures
 from simulator.study.pages.pdf import pdf_of
@@ -18,7 +19,7 @@ from simulator.study.run import run
 from simulator.study.specification.measured import Measured, judge_frames
 from simulator.study.specification.requirements import Specification
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, judge
-from simulator.study.statistics import AXES, BODY_AXES, summarise
+from simulator.study.statistics import summarise
 from simulator.study.texts import percent_text
 from simulator.study.trials.trial import TrialRunner
 from startracker.catalog import load_catalog

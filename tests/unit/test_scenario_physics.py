@@ -3,8 +3,8 @@
 # ruff: noqa: E501, ISC004 - messages stand as they are printed
 import pytest
 
+from simulator.mission.secular import sun_synchronous_limit_km
 from simulator.scenario import Scenario, ScenarioError
-from simulator.scenario.physics import sun_synchronous_limit_km
 
 GOOD = """\
 name: demo

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.adversarial import make
 from startracker import Attitude, Camera, IdentificationSettings, StarTracker, Status, solve_unknown_fov
 from startracker.identification import METHODS
-from startracker.inputs import SAME_STAR_PX, _first_of_each, clean_centroids
+from startracker.inputs import SAME_STAR_PX, _first_of_each, usable_centroids
 from startracker.sorting import order_of_columns
 
 CAMERA = Camera.from_fov(10.0, 512, 512)
@@ -93,7 +93,7 @@ def test_a_star_found_twice_is_one():
     near = np.abs(points[:, None] - points[None]).max(axis=2) < SAME_STAR_PX
     expected = ~np.tril(near, -1).any(axis=1)
     np.testing.assert_array_equal(_first_of_each(points), expected)
-    kept, _ = clean_centroids(points, None, CAMERA)
+    kept, _, _ = usable_centroids(points, None, CAMERA.width, CAMERA.height)
     np.testing.assert_array_equal(kept, points[expected])
 
 

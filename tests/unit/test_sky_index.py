@@ -7,8 +7,8 @@ import pytest
 from simulator.mission.clock import Clock
 from simulator.sky.apparent import SkyIndex, apparent_directions
 from simulator.sky.ephemeris import observe
+from simulator.sky.instants import sun_position_au
 from simulator.sky.parameters import Sky
-from simulator.sky.solar_system import sun_position_au
 from startracker.catalog import load_catalog
 from startracker.core import ARCSEC_RAD
 from startracker.observer import Observer

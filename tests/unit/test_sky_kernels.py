@@ -12,15 +12,16 @@ import erfa
 import numpy as np
 import pytest
 
+from simulator.constants import DEFAULT_B_V, RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.optics.curves import Curve
 from simulator.sky.apparent import SkyIndex, apparent_directions
 from simulator.sky.colours import population_giant_share
 from simulator.sky.ephemeris import observe, sky_time
+from simulator.sky.instants import solar_system, sun_position_au
 from simulator.sky.parameters import Sky
 from simulator.sky.photometry import Photometer
-from simulator.sky.solar_system import RADIUS_KM, solar_system, sun_position_au
-from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT
+from simulator.sky.spectra import B_V_RANGE, LATE_GIANT
 from startracker.catalog import load_catalog
 from startracker.core import ARCSEC_RAD, AU_KM, SPEED_OF_LIGHT_KM_S
 from startracker.observer import aberrate

@@ -8,9 +8,10 @@ import sys
 import numpy as np
 import pytest
 
+from simulator.constants import DEFAULT_B_V
 from simulator.optics.curves import Curve, load_curve
 from simulator.sky.photometry import Photometer
-from simulator.sky.spectra import B_V_RANGE, DEFAULT_B_V, LATE_GIANT, SOLAR_B_V, SPECTRA, colour_sequence
+from simulator.sky.spectra import B_V_RANGE, LATE_GIANT, SOLAR_B_V, SPECTRA, colour_sequence
 from startracker.errors import InputError
 
 

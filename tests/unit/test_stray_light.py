@@ -57,7 +57,7 @@ def test_curve_from_a_file(tmp_path):
     [
         ("angle,pst\n0,1\n", ":1: the header"),
         ("angle_deg,pst\n0,1\nten,1e-3\n", ":3: 'ten,1e-3'"),
-        ("angle_deg,pst\n0,1\n10,1e-3,5\n", ":3: '10,1e-3,5'"),
+        ("angle_deg,pst\n0,1\n10,1e-3,5\n", ":3: a line holds an angle and a transmittance; found '10,1e-3,5'"),
         ("angle_deg,pst\n5,1\n10,1e-3\n", ":2: angles must be ascending from 0"),
         ("angle_deg,pst\n0,1\n10,0.1\n10,0.1\n", ":4: angles must be ascending"),
         ("angle_deg,pst\n0,1\n10,0\n", ":3: a transmittance"),

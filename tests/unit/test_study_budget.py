@@ -9,12 +9,12 @@ import pytest
 
 from simulator.build import build_scenes
 from simulator.scenario import Scenario
+from simulator.study.axes import AXES
 from simulator.study.budget import error_budget as module
 from simulator.study.budget.effects import CLASSES, EFFECTS
 from simulator.study.budget.error_budget import budget
 from simulator.study.budget.outliers import find_outliers
 from simulator.study.budget.plot import budget_figure
-from simulator.study.statistics import AXES
 from startracker.errors import BoresightError, InputError
 
 SMALL = ("detector.width=256", "detector.height=256", "optics.focal_length_mm=12", "optics.aperture_mm=8.5")

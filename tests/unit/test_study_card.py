@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
+from simulator.study.axes import BODY_AXES
 from simulator.study.notebook import study_card
-from simulator.study.statistics import BODY_AXES
 
 SUMMARY = {
     "name": "demo",

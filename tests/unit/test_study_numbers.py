@@ -12,6 +12,7 @@ from scipy import stats
 
 from simulator.build import build_orbit
 from simulator.scenario import Scenario
+from simulator.study.axes import AXES
 from simulator.study.budget.effects import EFFECTS
 from simulator.study.budget.error_budget import Budget, Contribution, _contribution, _Run
 from simulator.study.budget.outliers import Outlier, find_outliers, lines_of
@@ -32,7 +33,7 @@ from simulator.study.specification.measured import Measured, Setting
 from simulator.study.specification.predicted import Predicted
 from simulator.study.specification.requirements import Requirement, Specification
 from simulator.study.specification.verdicts import Estimate, Judgement, Verdict
-from simulator.study.statistics import AXES, against_bound, axis_statistics, consistency, error_against, outliers
+from simulator.study.statistics import against_bound, axis_statistics, consistency, error_against, outliers
 from simulator.study.style import PICTURE_STYLE, Panel, figure_of, new_figure
 from simulator.study.texts import deg_text, percent_text
 from simulator.study.trials import columns as columns_module

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from simulator.study.axes import AXES
 from simulator.study.specification.measured import Measured
 from simulator.study.specification.requirements import Requirement, Specification
 from simulator.study.specification.verdicts import Estimate, Verdict, judge
 from simulator.study.statistics import (
-    AXES,
     axis_statistics,
     consistency,
     error_against,

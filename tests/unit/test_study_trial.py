@@ -16,10 +16,10 @@ from simulator.build import build_scenes
 from simulator.cli.solve_output import as_dict
 from simulator.mission.frames import argument_of_latitude_deg
 from simulator.scenario import Scenario
+from simulator.study.axes import AXES, CAMERA_AXES
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.specification.outcome import INCONSISTENT_NEES, outcome_of
 from simulator.study.specification.requirements import Requirement, Specification
-from simulator.study.statistics import AXES, CAMERA_AXES
 from simulator.study.trials.bounds import matched_sources
 from simulator.study.trials.causes import systematic_turn_deg
 from simulator.study.trials.trial import (

@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from startracker.tracking.candidates import as_pixels, streak_px
 from startracker.tracking.kinematics import correct, propagate, transition, turn_quaternion, vector_measurement
-from startracker.tracking.looking import as_pixels, streak_px
 from startracker.tracking.mekf import chi_square_limit, rotation_between
 from startracker.tracking.windows import first_of_each
 

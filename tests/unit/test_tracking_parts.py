@@ -14,8 +14,8 @@ from startracker.identification.acceptance import log_chance
 from startracker.observer import Observer, unknown_aberration
 from startracker.tracker import StarTracker
 from startracker.tracking import GyroNoise, RateNoise, TrackingSession
+from startracker.tracking.candidates import Expected, Sky, measure_windows, window_half
 from startracker.tracking.consistency import Scatter
-from startracker.tracking.looking import Expected, Sky, look, window_half
 from startracker.tracking.matching import Match, log_assignments, match_gated, spreads, track
 from startracker.tracking.watched import WatchedFilter
 from startracker.tracking.windows import cell_px, first_of_each, lay_out, to_image
@@ -143,7 +143,7 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     for x, y in centre:
         image += 900.0 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 0.9**2))
     half = window_half(tracker, expected, np.eye(3) * 1e-9, 0.0, 20)
-    seen = look(image.astype(np.float32), tracker, expected, half, 0.0, 1.0, None, 1.0)
+    seen = measure_windows(image.astype(np.float32), tracker, expected, half, 0.0, 1.0, None, 1.0)
     inside = CAMERA.contains(centre, -8.0)
     apart = [np.sort(np.hypot(*(centre - c).T))[1] > 12.0 for c in centre]
     found = [np.hypot(*(seen.xy - c).T).min() for c in centre[inside & apart]]
@@ -154,18 +154,18 @@ def test_windows_find_what_the_whole_frame_finds(tracker):
     assert seen.area_sr == pytest.approx(seen.windows * ((2 * half + 1) * CAMERA.pixel_rad) ** 2)
     assert seen.window_half_px == half
     np.testing.assert_array_equal(seen.window_xy, np.rint(centre)[CAMERA.contains(np.rint(centre))])
-    wide = look(image, tracker, expected, 60, 0.0, 1.0, None, 1.0)
+    wide = measure_windows(image, tracker, expected, 60, 0.0, 1.0, None, 1.0)
     assert wide.area_sr == tracker.guide.solid_angle_sr  # no more than the whole frame
-    doubted = look(image, tracker, expected, half, 0.0, 3.0, None, 1.0)
+    doubted = measure_windows(image, tracker, expected, half, 0.0, 3.0, None, 1.0)
     np.testing.assert_allclose(doubted.sigma_px, 3.0 * seen.sigma_px, rtol=1e-5)
     np.testing.assert_allclose(doubted.stated_px, seen.stated_px, rtol=1e-5)
-    trusted = look(image, tracker, expected, half, 0.0, 0.3, None, 1.0)
+    trusted = measure_windows(image, tracker, expected, half, 0.0, 0.3, None, 1.0)
     np.testing.assert_allclose(trusted.sigma_px, seen.stated_px, rtol=1e-5)
     np.testing.assert_allclose(seen.gate_px**2 - seen.stated_px**2, seen.gate_px[0] ** 2 - seen.stated_px[0] ** 2)
     assert window_half(tracker, expected, np.eye(3) * 1e-2, 0.0, 20) is None  # windows too large
-    assert look(image, tracker, expected, None, 0.0, 1.0, None, 1.0) is None
-    assert look(image[:10], tracker, expected, half, 0.0, 1.0, None, 1.0) is None
-    swapped = look(image.astype(">f4"), tracker, expected, half, 0.0, 1.0, None, 1.0)
+    assert measure_windows(image, tracker, expected, None, 0.0, 1.0, None, 1.0) is None
+    assert measure_windows(image[:10], tracker, expected, half, 0.0, 1.0, None, 1.0) is None
+    swapped = measure_windows(image.astype(">f4"), tracker, expected, half, 0.0, 1.0, None, 1.0)
     np.testing.assert_allclose(swapped.xy, seen.xy)
 
 
@@ -370,9 +370,9 @@ def test_stars_that_are_seen_are_watched_for_standing_still():
     watched = WatchedFilter(GyroNoise(), 1e-6)
     attitude, p = Attitude.from_radec_roll(80.0, 5.0, 30.0), np.eye(3) * 1e-10
     watched.begin(attitude, p)
-    watched.seen((attitude.quat, p))
+    watched.add_star_attitude((attitude.quat, p))
     assert watched._still.filter is not None
-    watched.seen(None)  # of too few stars nothing is known
+    watched.add_star_attitude(None)  # of too few stars nothing is known
     assert watched._still.filter is None
     assert watched.contradiction(None) == ""
     assert WatchedFilter(RateNoise(), 1e-6).contradiction((attitude.quat, p)) == ""

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.budget.effects import CLASSES, EFFECTS, Changes, Effect
 from simulator.study.budget.outliers import ALL_ON, Outlier, find_outliers, lines_of
 from simulator.study.intervals import moment_intervals, plain, wilson_interval
 from simulator.study.specification.outcome import identified
-from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.arrow import as_array
 from simulator.study.trials.engine import Progress, run_trials
 from startracker.core import FloatArray
@@ -245,6 +245,8 @@ def _errors(table: Any) -> _Run:
 
 def _contribution(name: str, kind: str, base: _Run, without: _Run, seed: int) -> Contribution:
     """Contribution of an effect: `base` with it, over the trials marked by `right`, `without` over solved trials."""
+    # Both runs have the same stars and the same noise of every other effect, which cancels in the difference of squares
+    # trial by trial; the difference of the two rms values would have the scatter of both.
     both = base.right & without.solved
     difference = base.errors[both] ** 2 - without.errors[both] ** 2
     added = difference.mean(axis=0) if both.any() else np.full(3, math.nan)
@@ -267,6 +269,7 @@ def _by_axis(values: FloatArray) -> dict[str, float]:
 
 
 def _root(square: float) -> float:
+    # Without a small effect the error may by chance be larger; the sign shows it.
     return math.copysign(math.sqrt(abs(square)), square)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.study.statistics import CAMERA_AXES
+from simulator.study.axes import CAMERA_AXES
 from startracker.core import BoolArray, FloatArray
 
 LIMIT_SIGMAS = 8.0

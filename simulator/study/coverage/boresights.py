@@ -251,7 +251,7 @@ def exclusion_of(scenario: Scenario, given: Mapping[str, float | None] | None = 
     scenario : Scenario
         The scenario.
     given : mapping, optional
-        Angle by body, degrees; None: that of the scenario.
+        Angle by body, degrees; None: the scenario's.
     """
     angles, sources = {}, {}
     defaults = {key.path: key.default for key in all_keys()}

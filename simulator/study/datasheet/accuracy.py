@@ -11,13 +11,13 @@ from scipy.special import ndtri
 
 from simulator.randomness import stream
 from simulator.scenario import Scenario
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet.classes import CLASSES, Separated, separate
 from simulator.study.datasheet.scan import ScanGeometry, scan_geometry
 from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, rms_of, upper_limit
 from simulator.study.datasheet.tasks import Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
 from simulator.study.intervals import ratios_of_rms
-from simulator.study.statistics import CAMERA_AXES
 from startracker.core import ARCSEC_PER_DEG, Columns, FloatArray
 
 RESAMPLES = 400
@@ -90,6 +90,7 @@ def _noise_levels(found: Separated, seed: int) -> list[Quantity]:
     temporal = f"as the mixed value, in the noisiest of {fields} fields; order statistics of {frames} frames"
     quantities = []
     for k, axis in enumerate(CAMERA_AXES[:axes]):
+        # Frames of one field share their stars and are not independent, so that whole fields are resampled.
         ends = np.quantile(np.quantile(samples[drawn, :, k].reshape(RESAMPLES, -1), shares, axis=1), _TAILS, axis=1)
         values = np.quantile(samples[:, :, k], shares)
         worst = samples[int(np.argmax(found.field_powers["temporal_noise"][:, k])), :, k]
@@ -112,6 +113,7 @@ def _noise_levels(found: Separated, seed: int) -> list[Quantity]:
 
 def _against_bound(passes: FloatArray, bound: FloatArray, seed: int) -> list[Quantity]:
     """Temporal noise over its Cramér–Rao bound, in the frames in which the bound was computed."""
+    # Two passes over the same attitudes share all errors but the noise, of which their difference has √2 times as much.
     difference = (passes[0] - passes[1]) / math.sqrt(2.0)
     use = np.isfinite(bound).all(axis=2) & np.isfinite(difference).all(axis=2)
     if not use.any():

@@ -11,6 +11,7 @@ import numpy as np
 
 from simulator.scenario import Scenario
 from simulator.scenario.fields import flatten
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet.sheet import (
     LEVELS,
     Amounts,
@@ -24,7 +25,6 @@ from simulator.study.datasheet.sheet import (
 )
 from simulator.study.datasheet.tasks import TRIALS_PER_TASK, Task, TaskRunner
 from simulator.study.datasheet.words import TERMS
-from simulator.study.statistics import CAMERA_AXES
 from startracker.core import ARCSEC_PER_DEG, Columns
 
 TEMPERATURE_STEPS_K = (-20.0, 0.0, 20.0, 40.0)

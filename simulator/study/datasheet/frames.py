@@ -20,11 +20,11 @@ from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scene import Scene
+from simulator.study.axes import AXES, CAMERA_AXES
 from simulator.study.datasheet.scan import PASSES, SAME_PIXELS, ScanGeometry, scan_attitudes
 from simulator.study.sequence.frames import SequenceRunner
 from simulator.study.specification.measured import JUDGED_COLUMNS
 from simulator.study.specification.outcome import identified
-from simulator.study.statistics import AXES, CAMERA_AXES
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources, star_information
 from simulator.study.trials.trial import (
     TrialRunner,

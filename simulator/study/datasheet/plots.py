@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet.scan import STEP_PX
-from simulator.study.statistics import CAMERA_AXES
 from simulator.study.style import BLUE, GREEN, ORANGE, SOFT, VERMILION, Panel
 
 if TYPE_CHECKING:

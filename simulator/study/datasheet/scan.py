@@ -81,7 +81,7 @@ def phase_shifts_px(geometry: ScanGeometry) -> FloatArray:
 
 
 def scan_attitudes(centre: Attitude, geometry: ScanGeometry, pixel_rad: tuple[float, float]) -> list[list[Attitude]]:
-    """Attitudes of the passes of a scan, about that of its middle.
+    """Attitudes of the passes of a scan, about the attitude at its middle.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.mission.sampling import TROPICAL_YEAR_S
+from simulator.constants import TROPICAL_YEAR_S
 from simulator.scenario import Scenario
 from simulator.study.coverage.survey import Coverage, coverage
 from simulator.study.datasheet.sheet import Amounts, Estimate, Quantity, cross_square_deg2, mean_of, proportion

@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.datasheet.classes import CLASSES
 from simulator.study.datasheet.sheet import LEVELS, Estimate, Quantity, select
 from simulator.study.datasheet.words import TERMS
 from simulator.study.pages.page import Table
-from simulator.study.statistics import CAMERA_AXES
 
 if TYPE_CHECKING:
     from simulator.study.datasheet.result import Column

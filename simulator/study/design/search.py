@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from simulator.scenario import Scenario, ScenarioError
+from simulator.study.axes import BODY_AXES
 from simulator.study.coverage.boresights import Boresights, Exclusion, along_path, whole_sky
 from simulator.study.coverage.prediction import Prediction, left_out, predict
 from simulator.study.specification.requirements import AVAILABILITY, Requirement, Specification, specification_of
 from simulator.study.specification.verdicts import MET, judge
-from simulator.study.statistics import BODY_AXES
 from startracker._version import __version__
 from startracker.errors import InputError
 

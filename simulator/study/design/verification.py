@@ -11,11 +11,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from simulator.scenario import Scenario
+from simulator.study.axes import BODY_AXES
 from simulator.study.design.search import Design, Point, Search, Trade, changed, design
 from simulator.study.run import run
 from simulator.study.specification.requirements import specification_of
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED, Judgement, frames_needed
-from simulator.study.statistics import BODY_AXES
 from startracker.errors import InputError
 
 Report = Callable[[int, float], None]
@@ -240,6 +240,7 @@ def _next(runs: list[Verification], search: Search) -> Point | None:
     if confirmed is not None:
         if failed is None or failed >= confirmed or confirmed <= _CLOSE_ENOUGH * failed:
             return None
+        # Bisection of the logarithm: what counts is the ratio of the two values.
         return search.point(float(f"{math.sqrt(failed * confirmed):.6g}"))
     last = runs[-1]
     if last.value >= search.trade.high:
@@ -248,6 +249,7 @@ def _next(runs: list[Verification], search: Search) -> Point | None:
     for each in last.judgement.verdicts:
         predicted = search.point(last.value).specification[each.requirement.name].get("value_deg")
         if predicted and each.estimate.value is not None:
+            # The upper end of the interval, because a value is confirmed only when this is within the limit.
             factors[each.requirement.name] = (each.estimate.high or each.estimate.value) / predicted
     corrected = search.smallest(factors, above=last.value) if any(f > 1.0 for f in factors.values()) else None
     step = _LARGEST_STEP if corrected is None and factors else _STEP

@@ -6,20 +6,20 @@ Everything is taken from ``summary.json`` and ``trials.parquet``; quantities mis
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.axes import AXES, AXIS_TITLES, BODY_AXES, CAMERA_AXES
 from simulator.study.intervals import wilson_interval
 from simulator.study.pages.page import Block, Table, Words, lead, paragraph
 from simulator.study.pages.parts import unphysical_notes, verdict_table
 from simulator.study.specification.outcome import identified, outcome_flags
 from simulator.study.specification.verdicts import Judgement
-from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES
-from simulator.study.texts import axis_name, between_text, percent_text
+from simulator.study.texts import fine_text, interval_text, percent_text
 
 if TYPE_CHECKING:
     from simulator.scenario import Scenario
@@ -28,7 +28,6 @@ Columns = Mapping[str, NDArray[Any]]
 MOST_OUTLIERS = 20
 AT_THE_BOUND = 1.1
 """Maximum ratio of error to bound for the error to count as limited by the bound."""
-AXIS_NAMES = {axis: axis_name(axis).replace("about boresight", "about the boresight") for axis in AXES}
 
 
 @dataclass(frozen=True)
@@ -52,25 +51,6 @@ class Answer:
             self.rates,
             paragraph(Words("Limits.", "strong"), " ", " ".join(self.limits)),
         )
-
-
-def angle_text(value_deg: float | None) -> str:
-    """Angle for display, with enough digits to distinguish it from the limits of its interval after many trials."""
-    if value_deg is None or not math.isfinite(value_deg):
-        return "–"
-    if abs(value_deg) >= 0.1:
-        return f"{value_deg:.4f}°"
-    arcsec = value_deg * 3600
-    digits = next((digits for limit, digits in ((10.0, 2), (1.0, 3)) if abs(arcsec) >= limit), 4)
-    return f"{arcsec:.{digits}f}″"
-
-
-def interval_text(interval: Any, text: Callable[[float | None], str] = angle_text) -> str:
-    """``low to high`` of an interval, with a common unit only once; empty without an interval, – for an open limit."""
-    if interval is None or all(end is None for end in interval):
-        return ""
-    low, high = interval
-    return between_text(text(low), text(high))
 
 
 def answer_of(
@@ -148,7 +128,7 @@ def _limits(summary: Mapping[str, Any], columns: Columns, budget: Mapping[str, A
         for axis in CAMERA_AXES:
             interval = interval_text(bound[axis]["interval95"], _ratio_text)
             parts.append(
-                f"{_ratio_text(bound[axis]['ratio'])} {AXIS_NAMES[axis]}{f' ({interval})' if interval else ''}"
+                f"{_ratio_text(bound[axis]['ratio'])} {AXIS_TITLES[axis][0]}{f' ({interval})' if interval else ''}"
             )
         worst = max(bound[axis]["ratio"] for axis in CAMERA_AXES)
         said.append(f"Ratio of the rms error to the Cramér–Rao bound of the same stars: {', '.join(parts)}.")
@@ -186,11 +166,11 @@ def accuracy_table(summary: Mapping[str, Any]) -> Table:
     rows = []
     for axis in AXES:
         e = summary["errors_deg"][axis]
-        cells = [AXIS_NAMES[axis]]
+        cells = [AXIS_TITLES[axis][0]]
         for key in ("mean", "std", "rms"):
             interval = interval_text(interval_of(summary, axis, key))
-            cells.append(angle_text(e[key]) + (f" ({interval})" if interval else ""))
-        rows.append((*cells, *(angle_text(e[key]) for key in ("p50", "p95", "p997", "max"))))
+            cells.append(fine_text(e[key]) + (f" ({interval})" if interval else ""))
+        rows.append((*cells, *(fine_text(e[key]) for key in ("p50", "p95", "p997", "max"))))
     note = (
         "The error is the rotation vector from the true to the estimated attitude, over all solved trials, wrong ones "
         "included. An attitude is misidentified if a star is not the one that it names, inconsistent if its error "
@@ -235,7 +215,7 @@ def outliers_table(summary: Mapping[str, Any], columns: Columns, anchors: Mappin
         for name in ("index", "utc", "stars_matched", "reason"):
             texts.append([str(value) or "–" for value in columns[name][shown]])
         for axis in BODY_AXES:
-            texts.append([angle_text(float(value)) for value in columns[f"error_{axis}_deg"][shown]])
+            texts.append([fine_text(float(value)) for value in columns[f"error_{axis}_deg"][shown]])
     what, index, utc, stars, reason, *errors = texts if shown else [[]] * 8
     rows = list(zip(index, utc, what, *errors, stars, reason, strict=True))
     note = "" if found else "None: every frame was solved, none wrong, and there are no outlying errors. "
@@ -277,21 +257,21 @@ def budget_table(budget: Mapping[str, Any]) -> Table:
         for entry in sorted(entries, key=_added_across, reverse=True):
             rows.append((entry["name"], what, *(_added_text(entry["axes"][axis]) for axis in CAMERA_AXES)))
     if budget["remainder"] is not None:
-        left = (angle_text(budget["remainder"]["axes"][axis]["rms_off_deg"]) for axis in CAMERA_AXES)
+        left = (fine_text(budget["remainder"]["axes"][axis]["rms_off_deg"]) for axis in CAMERA_AXES)
         rows.append(("remaining error", "all effects", *left))
-    rows.append(("total error", "none", *(angle_text(budget["rms_deg"][axis]) for axis in CAMERA_AXES)))
+    rows.append(("total error", "none", *(fine_text(budget["rms_deg"][axis]) for axis in CAMERA_AXES)))
     note = (
         f"From {budget['trials']} trials with one effect switched off at a time (seed {budget['seed']}): square root "
         "of its contribution to the mean square error, 95 % interval in brackets; negative if the error is larger "
         "without it. Classes as in ECSS-E-ST-60-20C. Contributions need not add up."
     )
-    names = tuple(AXIS_NAMES[axis] for axis in CAMERA_AXES)
+    names = tuple(AXIS_TITLES[axis][0] for axis in CAMERA_AXES)
     return Table(("contribution", "switched off", *names), tuple(rows), (1,), note)
 
 
 def _added_text(of_axis: Mapping[str, Any]) -> str:
     interval = interval_text(of_axis["added_rms_interval95_deg"])
-    return angle_text(of_axis["added_rms_deg"]) + (f" ({interval})" if interval else "")
+    return fine_text(of_axis["added_rms_deg"]) + (f" ({interval})" if interval else "")
 
 
 def _added_across(entry: Mapping[str, Any]) -> float:

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
+from simulator.study.axes import AXES, AXIS_TITLES, BODY_AXES, CAMERA_AXES, axis_heading
 from simulator.study.specification.outcome import outcome_flags
 from simulator.study.specification.requirements import Specification
-from simulator.study.statistics import AXES, BODY_AXES, CAMERA_AXES, Binned, error_against
+from simulator.study.statistics import Binned, error_against
 from simulator.study.style import BLUE, GREEN, INK, LINE, ORANGE, SOFT, VERMILION, Panel
 from startracker.geometry.attitude import direction_to_radec
 
@@ -25,14 +26,6 @@ if TYPE_CHECKING:
 
 Columns = Mapping[str, NDArray[Any]]
 
-TITLES = {
-    "roll": ("roll error", "About X, the velocity."),
-    "pitch": ("pitch error", "About Y, minus the orbit normal."),
-    "yaw": ("yaw error", "About Z, the nadir."),
-    "cross_x": ("cross-boresight error, x", "About the camera's x axis."),
-    "cross_y": ("cross-boresight error, y", "About the camera's y axis."),
-    "about_boresight": ("error about the boresight", "About the camera's z axis."),
-}
 MARKS = ((BLUE, "o", "-"), (ORANGE, "s", "--"), (GREEN, "^", ":"))
 VARIABLES = {
     "stars_matched": ("Number of stars", "stars matched"),
@@ -65,8 +58,7 @@ def panels(columns: Columns, specification: Specification, catalog: StarCatalog)
     limits = {each.axis: each.limit for each in reversed(specification.errors)}
     solved = np.asarray(columns["status"]) == "solved"
     errors = [
-        Panel(name.capitalize(), about, functools.partial(draw_histogram, columns, axis, limits.get(axis)))
-        for axis, (name, about) in TITLES.items()
+        Panel(*axis_heading(axis), functools.partial(draw_histogram, columns, axis, limits.get(axis))) for axis in AXES
     ]
     found = []
     note = "Root mean square of the solved trials in each bin, with its 95 % interval."
@@ -191,7 +183,7 @@ def _binned(ax: Axes, binned: Binned, look: tuple[str, str, str], scale: float =
         linewidth=1.2,
         elinewidth=0.9,
         capsize=2,
-        label=binned.axis.replace("_", " ").replace("about boresight", "boresight"),
+        label=AXIS_TITLES[binned.axis][0],
     )
 
 

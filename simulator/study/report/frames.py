@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
+from simulator.study.axes import AXES
 from simulator.study.pictures import draw_solution, shades_of, title_of
 from simulator.study.report.content import render_command
 from simulator.study.specification.requirements import Specification
-from simulator.study.statistics import AXES
 from simulator.study.style import Panel
 from simulator.study.trials.trial import TrialRunner, solve_frame
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from simulator.study.axes import BODY_AXES
 from simulator.study.sequence.camera import TrackedFrame
 from simulator.study.sequence.time_axis import nearly_all
-from simulator.study.statistics import BODY_AXES
 from simulator.study.style import INK, STYLE
 from startracker.core import Columns
 from startracker.errors import BoresightError

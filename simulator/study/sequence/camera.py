@@ -16,6 +16,7 @@ from simulator.mission.pointing import Pointing, deformed
 from simulator.optics.jitter_series import JitterMotion
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
+from simulator.study.axes import BODY_AXES, CAMERA_AXES
 from simulator.study.sequence.calibration import CalibratedCamera
 from simulator.study.sequence.columns import (
     NO_FRAME,
@@ -27,7 +28,6 @@ from simulator.study.sequence.columns import (
 )
 from simulator.study.sequence.operation import OperatedCamera
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.trackers import Session, session_of, tracker_of
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns
 from simulator.study.trials.trial import attitude_errors_deg, in_field, misidentified, normalised_error_squared

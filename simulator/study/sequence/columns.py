@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from simulator.study.axes import AXES
 from simulator.study.specification.requirements import Specification
-from simulator.study.statistics import AXES, beyond_specification
+from simulator.study.statistics import beyond_specification
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS
 from simulator.study.trials.trial import attitude_columns, attitude_errors_deg, mounting_columns
 from startracker.core import FloatArray

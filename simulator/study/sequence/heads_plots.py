@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from simulator.study.axes import BODY_AXES
 from simulator.study.pages.page import Table
 from simulator.study.sequence.columns import NO_FRAME
 from simulator.study.sequence.plots import draw_compared
 from simulator.study.sequence.time_axis import draw_strip, nearly_all, time_axis
-from simulator.study.statistics import BODY_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from simulator.study.texts import deg_text
 from startracker.core import Columns

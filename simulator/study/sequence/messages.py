@@ -15,7 +15,7 @@ from simulator.mission.spice import Attitudes, spice_kernels
 from simulator.mission.tabulated import TabulatedTrajectory
 from simulator.mission.trajectory import geocentric
 from simulator.scenario import Scenario
-from simulator.study.statistics import CAMERA_AXES
+from simulator.study.axes import CAMERA_AXES
 from startracker.core import FloatArray
 
 _QUATERNION = ("qx", "qy", "qz", "qw")

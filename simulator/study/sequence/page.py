@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.study.axes import AXES, axis_name
 from simulator.study.pages.page import (
     Block,
     Figures,
@@ -27,8 +28,7 @@ from simulator.study.sequence.plots import MODE_TITLES, panels
 from simulator.study.sequence.statistics import consistency_text
 from simulator.study.specification.outcome import outcome_text
 from simulator.study.specification.verdicts import NOT_MET
-from simulator.study.statistics import AXES
-from simulator.study.texts import axis_name, deg_text
+from simulator.study.texts import deg_text
 
 if TYPE_CHECKING:
     from simulator.study.sequence.result import Sequence

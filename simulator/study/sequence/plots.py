@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from simulator.study.axes import BODY_AXES, CAMERA_AXES, axis_heading
 from simulator.study.sequence.calibration_plots import calibration_panels
 from simulator.study.sequence.frames import MODES
 from simulator.study.sequence.operation_plots import operation_panels
 from simulator.study.sequence.time_axis import draw_strip, nearly_all, time_axis
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from startracker.core import Columns
 
@@ -27,14 +27,6 @@ MODE_TITLES = {
     "lost_in_space": "lost in space",
     "coasting": "coasting",
     "none": "no attitude",
-}
-_AXIS_TITLES = {
-    "roll": "roll, about X",
-    "pitch": "pitch, about Y",
-    "yaw": "yaw, about Z",
-    "cross_x": "cross-boresight x",
-    "cross_y": "cross-boresight y",
-    "about_boresight": "about the boresight",
 }
 _MANY_FRAMES = 1500
 """Above this number points are rasterised, as vector graphics would make the page slow."""
@@ -118,8 +110,7 @@ def draw_error(ax: Axes, columns: Columns, axis: str) -> None:
 
 
 def _error_panel(axis: str, columns: Columns) -> Panel:
-    title = _AXIS_TITLES[axis]
-    return Panel(title[0].upper() + title[1:], "", lambda ax: draw_error(ax, columns, axis))
+    return Panel(*axis_heading(axis), lambda ax: draw_error(ax, columns, axis))
 
 
 def _stars(ax: Axes, columns: Columns) -> None:

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from simulator.scenario import Scenario
+from simulator.study.axes import AXES, CAMERA_AXES
 from simulator.study.intervals import effective_number
 from simulator.study.sequence.frames import MODES
 from simulator.study.specification.outcome import inconsistency, outcome_counts
 from simulator.study.specification.verdicts import Judgement
-from simulator.study.statistics import AXES, CAMERA_AXES, axis_statistics
+from simulator.study.statistics import axis_statistics
 from startracker.core import Columns, FloatArray
 
 

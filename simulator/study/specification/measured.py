@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.scenario import Scenario
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.body_angles import body_angles_deg
 from simulator.study.intervals import effective_number, percentile_interval, wilson_interval
 from simulator.study.specification.outcome import outcome_flags
@@ -30,7 +31,6 @@ from startracker.geometry.attitude import radec_to_direction
 
 Columns = Mapping[str, NDArray[Any]]
 
-CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
 
 RATE_BAND = (0.9, 1.1)
 """Frames at these multiples of the specified rate are judged: the rotation of the local level and the pointing error
@@ -133,12 +133,12 @@ class Measured:
 
     @property
     def misidentified(self) -> int:
-        """Those of them with a misidentified star."""
+        """Wrong attitudes with a misidentified star."""
         return int((outcome_flags(self.columns)[0] & self._wrong).sum())
 
     @property
     def gross(self) -> int:
-        """Those of them that are inconsistent and beyond the specification, with the right stars."""
+        """Wrong attitudes with the right stars, inconsistent and beyond the specification."""
         misidentified, inconsistent, _ = outcome_flags(self.columns)
         return int((inconsistent & ~misidentified & self._wrong).sum())
 

@@ -14,13 +14,12 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import erf
 
+from simulator.study.axes import BODY_AXES, CAMERA_AXES
 from simulator.study.specification.measured import RATE_BAND, untested_rate
 from simulator.study.specification.requirements import AVAILABILITY, Requirement, Specification
 from simulator.study.specification.verdicts import Estimate
 from startracker.core import FloatArray
 
-_BODY_AXES = ("roll", "pitch", "yaw")
-_CAMERA_AXES = ("cross_x", "cross_y", "about_boresight")
 _ANGLES = 64
 """Directions of the average over the ellipse of each attitude; the trapezium rule of a periodic function converges
 exponentially (16 give 1e-6 for an axis ratio of 2)."""
@@ -84,10 +83,10 @@ class Predicted:
         return math.degrees(math.sqrt(float(self._variance(axis).mean())))
 
     def _variance(self, axis: str) -> FloatArray:
-        if axis in _CAMERA_AXES:
-            k = _CAMERA_AXES.index(axis)
+        if axis in CAMERA_AXES:
+            k = CAMERA_AXES.index(axis)
             return np.asarray(self.covariance_rad2[:, k, k])
-        row = self.to_body[_BODY_AXES.index(axis)]
+        row = self.to_body[BODY_AXES.index(axis)]
         return np.asarray(np.einsum("i,nij,j->n", row, self.covariance_rad2, row))
 
 

@@ -59,11 +59,11 @@ class Evidence(Protocol):
 
     @property
     def misidentified(self) -> int:
-        """Those of them with a misidentified star."""
+        """Wrong attitudes with a misidentified star."""
 
     @property
     def gross(self) -> int:
-        """Those of them that are inconsistent and beyond the specification, with the right stars."""
+        """Wrong attitudes with the right stars, inconsistent and beyond the specification."""
 
     @property
     def untested(self) -> tuple[str, ...]:

@@ -20,9 +20,9 @@ from simulator.scenario import ScenarioError
 from simulator.scenario.document import parse_document, read_text
 from simulator.scenario.errors import Problem
 from simulator.scenario.output import cell
+from simulator.study.axes import AXES
 from simulator.study.intervals import plain, ratios_of_rms
 from simulator.study.point_statistics import OUTCOME_COLUMNS, TRIAL_COLUMNS, point_statistics
-from simulator.study.statistics import AXES
 from simulator.study.trials.arrow import as_array, read_columns
 from simulator.study.trials.columns import Columns
 from startracker import files

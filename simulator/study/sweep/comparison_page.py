@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from simulator.study.axes import AXES, AXIS_TITLES, axis_name
 from simulator.study.pages.page import Figures, Page, Section, Table
 from simulator.study.pages.parts import DIGEST_DIGITS
-from simulator.study.plots import TITLES
-from simulator.study.statistics import AXES
 from simulator.study.style import BLUE, SOFT, Panel
 from simulator.study.sweep.compare import ComparedRun, Comparison
-from simulator.study.sweep.texts import number_text, rate_text, rms_text, value_text
-from simulator.study.texts import axis_name
+from simulator.study.texts import rate_text, rms_text, value_text
 from startracker.core import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
@@ -117,16 +115,16 @@ def _rates_of(run: ComparedRun) -> tuple[str, ...]:
     s = run.statistics
     times = (s["stars_matched_mean"], s["median_render_ms"], s["median_solve_ms"], run.trials_per_second)
     outcomes = (str(s[name]) for name in ("misidentified", "inconsistent", "wrong"))
-    return f"{s['solved']} of {s['trials']}", *outcomes, rate_text(s), *map(number_text, times)
+    return f"{s['solved']} of {s['trials']}", *outcomes, rate_text(s), *(value_text(each, ".1f") for each in times)
 
 
 def comparison_panels(comparison: Comparison) -> list[Panel]:
     """Rms error about each axis, identification rate and matched stars, one line per run, with 95 % intervals."""
     height_in = 1.1 + 0.3 * max(3, len(comparison.runs))
-    titles = {"rate": "identified", "stars": "stars matched, mean"}
+    titles = {axis: title for axis, (title, _) in AXIS_TITLES.items()}
+    titles |= {"rate": "identified", "stars": "stars matched, mean"}
     return [
-        Panel(titles.get(name, TITLES.get(name, "")), "", functools.partial(_draw, comparison, name), height_in)
-        for name in _QUANTITIES
+        Panel(titles.get(name, ""), "", functools.partial(_draw, comparison, name), height_in) for name in _QUANTITIES
     ]
 
 

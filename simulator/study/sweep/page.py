@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from simulator.study.axes import AXES, BODY_AXES, axis_name
 from simulator.study.pages.page import Block, Figures, Page, Section, Table, Words, lead, paragraph, sections, soft
 from simulator.study.pages.parts import provenance
 from simulator.study.specification.verdicts import MET, NOT_MET, UNDECIDED
-from simulator.study.statistics import AXES, BODY_AXES
 from simulator.study.sweep.plots import SweepFigure, key_label
-from simulator.study.sweep.texts import rate_text, rms_text, value_text
-from simulator.study.texts import axis_name, deg_text
+from simulator.study.texts import deg_text, rate_text, rms_text, value_text
 
 
 def sweep_page(table: dict[str, Any], figures: list[SweepFigure]) -> Page:

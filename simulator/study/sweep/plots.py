@@ -1,7 +1,7 @@
 """Plots of a sweep: errors and identification rate by swept key, and maps over two keys.
 
 A logarithmic range has a logarithmic axis; names and mixed lists are categories. Grey crosses mark unphysical points.
-The colours are those of Okabe & Ito (2008); curves also differ in their markers.
+The colours follow Okabe & Ito (2008); curves also differ in their markers.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.study.plots import TITLES, picture, save_bytes
-from simulator.study.statistics import AXES
+from simulator.study.axes import AXES, AXIS_TITLES
+from simulator.study.plots import picture, save_bytes
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
 from startracker.core import ARCSEC_PER_DEG
 
@@ -79,7 +79,8 @@ _QUANTITIES = (
     _Quantity("identification_rate", "identification_rate", 100.0),
     _Quantity("stars_matched_mean", "stars_matched_mean", 1.0),
 )
-_TITLES = TITLES | {"identification_rate": "identified", "stars_matched_mean": "stars matched, mean"}
+_TITLES = {axis: title for axis, (title, _) in AXIS_TITLES.items()}
+_TITLES |= {"identification_rate": "identified", "stars_matched_mean": "stars matched, mean"}
 _Y_LABELS = {"identification_rate": "identified [%]", "stars_matched_mean": "stars matched, mean"}
 
 
@@ -177,7 +178,7 @@ def error_maps(table: dict[str, Any]) -> SweepFigure:
     height_in = 1.0 + max(2.0, 0.3 * len(down["values"]))
     panels = []
     for quantity in _QUANTITIES:
-        title = _TITLES[quantity.name].split(" (")[0]
+        title = _TITLES[quantity.name]
         unit = "rms [arcsec]" if quantity.is_error else "[%]" if quantity.name == "identification_rate" else ""
         draw = functools.partial(_draw_map, table, quantity)
         panels.append(Panel(f"{title} {unit}".strip(), "", draw, height_in))

@@ -138,7 +138,7 @@ def plan_sweep(
     lhs : int, optional
         Number of points of a Latin hypercube, from the scenario's seed; None: the full grid.
     trials, seed : int, optional
-        Replace those of the scenario.
+        Replace the scenario's.
     set_values : sequence of str
         ``path=value`` at every point.
 

@@ -11,9 +11,9 @@ from scipy.special import chdtri
 
 from simulator.frame import FrameTruth
 from simulator.renderer import Renderer
+from simulator.study.axes import CAMERA_AXES
 from simulator.study.specification.outcome import CENTROIDS, DISPLACED, NO_OUTCOME, NOISE, UNKNOWN, outcome_of
 from simulator.study.specification.requirements import Specification
-from simulator.study.statistics import CAMERA_AXES
 from simulator.study.trials.bounds import attitude_bound_deg, matched_sources, pixel_slopes
 from startracker.core import FloatArray, IntArray
 from startracker.solution import Solution

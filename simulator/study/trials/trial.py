@@ -11,8 +11,9 @@ from simulator.frame import Frame, FrameTruth, TrueSources
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.sky.celestial_frames import GALACTIC
+from simulator.study.axes import BODY_AXES, CAMERA_AXES
 from simulator.study.specification.requirements import specification_of
-from simulator.study.statistics import BODY_AXES, CAMERA_AXES, beyond_specification
+from simulator.study.statistics import beyond_specification
 from simulator.study.trackers import Tracker, tracker_of
 from simulator.study.trials.bounds import SAME_STAR_PX, attitude_bound_deg, matched_sources
 from simulator.study.trials.causes import NO_OUTCOME_COLUMNS, outcome_columns

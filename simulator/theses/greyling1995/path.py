@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from simulator.constants import EARTH_RADIUS_KM
+from simulator.constants import EARTH_RADIUS_KM, TROPICAL_YEAR_S
 from simulator.mission.frames import true_of_date
 from simulator.mission.orbit import Orbit, build_orbit
 from simulator.mission.parameters import OrbitParameters, PointingParameters
 from simulator.mission.pointing import BoresightPath, boresight_path, local_level, mounting_of
-from simulator.mission.sampling import TROPICAL_YEAR_S
 from simulator.mission.secular import mean_motion, sun_synchronous_inclination
 from simulator.sky.celestial_frames import ECLIPTIC, GALACTIC, equator_of
 from simulator.theses.figures import section_of

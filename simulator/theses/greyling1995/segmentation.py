@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from simulator.constants import RADIUS_KM
 from simulator.mission.clock import Clock
 from simulator.optics.psf import Psf
 from simulator.optics.splat import render_stars
@@ -38,8 +39,6 @@ _STARS, _CLEARANCE_PX = 12, 24.0
 _FAINTEST, _BRIGHTEST = 0.15, 0.8
 _NEAR_PX = 2.0
 _MANY = 20_000
-MARS_RADIUS_KM = 3396.2
-"""Equatorial radius (Archinal et al. 2018, Celest. Mech. Dyn. Astron. 130, 22)."""
 
 SNR_DB = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0, 28.0, 29.0, 30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 40.0, 50.0, 60.0)
 
@@ -146,7 +145,7 @@ def mars_diameters_arcsec() -> tuple[float, float]:
     clock = Clock(datetime(1990, 1, 1, tzinfo=UTC))
     t_s = np.arange(0.0, 365.25 * 17, 5.0) * 86_400.0
     away_au = barycentric_position_au("Mars", clock, t_s) - barycentric_position_au("Earth", clock, t_s)
-    diameter = 2.0 * np.degrees(np.arcsin(MARS_RADIUS_KM / AU_KM / np.linalg.norm(away_au, axis=1))) * 3600.0
+    diameter = 2.0 * np.degrees(np.arcsin(RADIUS_KM["Mars"] / AU_KM / np.linalg.norm(away_au, axis=1))) * 3600.0
     return float(diameter.min()), float(diameter.max())
 
 

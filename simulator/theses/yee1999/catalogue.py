@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.resources import files
 
 import numpy as np
 
 from startracker.catalog import load_catalog
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
+from startracker.files import included_lines
 from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
 from startracker.identification.triad_tables import TriadTables
 
@@ -101,5 +101,4 @@ def file_of(table: str) -> str:
 
 def printed_rows(name: str) -> list[dict[str, str]]:
     """Rows of a printed table of the thesis, by column; the first line of the file gives its source."""
-    text = (files("simulator.theses.yee1999") / "data" / f"{name}.csv").read_text(encoding="utf-8")
-    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    return list(csv.DictReader(included_lines("simulator.theses.yee1999", f"{name}.csv")))

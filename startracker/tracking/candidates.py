@@ -15,7 +15,7 @@ from startracker.catalog.sky_view import SkyView
 from startracker.core import SPEED_OF_LIGHT_KM_S, FloatArray, IntArray
 from startracker.detection import Background
 from startracker.errors import InputError
-from startracker.estimation.refine_stars import IMAGE_FLOOR_PX, STATED_PX
+from startracker.field_solution import IMAGE_FLOOR_PX, STATED_PX
 from startracker.geometry.image_map import to_directions
 from startracker.inputs import SAME_STAR_PX
 from startracker.observer import Observer
@@ -48,7 +48,7 @@ class Expected:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Candidates:
     """Star candidates of a frame."""
 
     xy: FloatArray
@@ -72,7 +72,7 @@ class Seen:
     common_px2: FloatArray | None = None
     """Covariance of an error common to all candidates (`Centroids.common_px2`), (2, 2)."""
 
-    def select(self, rows: NDArray[Any]) -> Seen:
+    def select(self, rows: NDArray[Any]) -> Candidates:
         """Selection of the candidates."""
         columns = {f.name: getattr(self, f.name)[rows] for f in fields(self)[:6]}
         return replace(self, **columns)
@@ -112,13 +112,13 @@ class Sky:
         return self._view
 
 
-def centroids_seen(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None, factor: float) -> Seen:
+def given_candidates(tracker: StarTracker, xy: FloatArray, flux: FloatArray | None, factor: float) -> Candidates:
     """Given centroids without errors; `factor` times the usual error is assumed."""
     camera = tracker.camera
     rows = first_of_each(np.ascontiguousarray(xy), camera.width, camera.height, 0.0, SAME_STAR_PX)
     points = xy[rows]
     stated, sigma = np.full(len(rows), STATED_PX), np.full(len(rows), factor * STATED_PX)
-    seen = Seen(
+    seen = Candidates(
         xy=points,
         flux=np.full(len(rows), math.nan) if flux is None else flux[rows],
         vectors=to_directions(points, camera.image_map),
@@ -159,7 +159,7 @@ def window_half(
     return None if streak_px > _LONGEST_STREAK_PX or half > largest_half or share > _LARGEST_SHARE else reach
 
 
-def look(
+def measure_windows(
     image: ArrayLike,
     tracker: StarTracker,
     expected: Expected,
@@ -168,7 +168,7 @@ def look(
     factor: float,
     saturation_dn: float | None,
     gain_e_per_dn: float | None,
-) -> Seen | None:
+) -> Candidates | None:
     """Star candidates in windows around the expected stars, found and measured by the tracker's methods.
 
     Parameters
@@ -182,7 +182,7 @@ def look(
 
     Returns
     -------
-    Seen, or None if windows cannot be used.
+    Candidates, or None if windows cannot be used.
     """
     camera, pixels = tracker.camera, as_pixels(image)
     if half is None or pixels is None or pixels.shape != (camera.height, camera.width):
@@ -211,7 +211,7 @@ def look(
     rows = first_of_each(xy, camera.width, camera.height, room, SAME_STAR_PX)
     variance = np.trace(found.covariance, axis1=1, axis2=2)[rows] / 2.0 + tracker.centroid.camera_model_px**2
     stated = np.sqrt(variance + (tracker.guide.catalog.position_sigma_rad / camera.pixel_rad) ** 2)
-    seen = Seen(
+    seen = Candidates(
         xy[rows],
         found.flux[rows],
         camera.unproject(xy[rows]) if len(rows) else np.empty((0, 3)),
@@ -227,7 +227,7 @@ def look(
     return _with_direction(seen)
 
 
-def _with_direction(seen: Seen) -> Seen:
+def _with_direction(seen: Candidates) -> Candidates:
     if math.isfinite(np.add.reduce(seen.vectors, axis=None)):
         return seen
     return seen.select(np.isfinite(seen.vectors[:, 0]))

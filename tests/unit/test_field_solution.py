@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from startracker import Attitude, Camera, StarTracker
-from startracker.whole_field import explains_bright_stars, misfit_px, strongest, trail_fragments_possible
+from startracker.field_solution import explains_bright_stars, misfit_px, strongest, trail_fragments_possible
 
 CAMERA = Camera.from_fov(12.0, 512, 512)
 ATTITUDE = Attitude.from_radec_roll(83.0, -1.0, 20.0)
