@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 def validate(paths: Sequence[str | Path]) -> int:
     """Check scenario files: a line "… : ok" each on standard output, or every mistake on standard error.
 
+    A scenario that loads is built as for a run, so that what ``run`` refuses is refused here.
+
     Returns
     -------
     int
@@ -21,11 +23,13 @@ def validate(paths: Sequence[str | Path]) -> int:
     """
     from simulator.checks import load_scenario
     from simulator.scenario import ScenarioError
+    from simulator.study.runnable import refuse_unrunnable
 
     status = 0
     for path in paths:
         try:
             scenario = load_scenario(path)
+            refuse_unrunnable(scenario)
         except ScenarioError as error:
             print(error, file=sys.stderr)
             status = 2
