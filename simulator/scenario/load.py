@@ -26,11 +26,12 @@ from simulator.scenario.fields import (
     NameChecks,
     all_keys,
     check_value,
+    component_key,
     flatten,
     nest,
 )
 from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, read_chain, with_base
-from simulator.scenario.overrides import apply_overrides, set_option, set_values
+from simulator.scenario.overrides import apply_overrides, set_option, set_values, with_components
 from simulator.scenario.quantities import as_written
 from simulator.scenario.schema import ScenarioModel
 from simulator.scenario.tables import check_table, location_of, locations_of
@@ -251,6 +252,12 @@ class Scenario(ScenarioModel):
         if not isinstance(values, Mapping) or not all(isinstance(path, str) for path in values):
             raise InputError(f"values must be a mapping of dotted paths to values; got {values!r}")
         written = {path: as_written(path, value, _KEYS) for path, value in values.items()}
+        for path in [path for path in written if component_key(path, _KEYS)]:
+            above, _, index = path.rpartition(".")
+            whole = written.get(above, flatten(self)[above])
+            if not isinstance(whole, (list, tuple)) or int(index) >= len(whole):
+                raise InputError(f"{path}: {above} is {whole!r}, which has no such component")
+            written[above] = [*whole[: int(index)], written.pop(path), *whole[int(index) + 1 :]]
         try:
             scenario = type(self).model_validate(nest(heads.overlaid(flatten(self), written)))
         except ValidationError as error:
@@ -290,6 +297,7 @@ def _build(
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)
+    options = with_components(options, tree, _KEYS, problems)
     # Files in options are relative to the working folder, files in a scenario to the scenario's folder.
     tree = with_sampling(layered(tree, absolute_files(options, "")))
     flat = check_table(tree, ScenarioModel, "", Location(top.source), problems)

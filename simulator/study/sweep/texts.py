@@ -29,3 +29,9 @@ def number_text(value: float | None) -> str:
 def value_text(value: Any) -> str:
     """A value of a key, for display; – if missing."""
     return "–" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def short_name(path: str) -> str:
+    """Last part of the path of a key; of a component of a list, ``rate_deg_s.0``."""
+    *_, above, name = ["", *path.split(".")]
+    return f"{above}.{name}" if name.isdecimal() else name
