@@ -43,7 +43,8 @@ def validate(paths: Sequence[str | Path]) -> int:
 def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
     """Print a scenario with every default spelled out and every key explained; it loads again to an equal one.
 
-    Below it, as comments, the values that follow from the age of the camera.
+    Beside each value that is not a default stands where it is written: in which file of the chain of bases, and in
+    which line. Below it, as comments, the values that follow from the age of the camera.
 
     Returns
     -------
@@ -52,13 +53,14 @@ def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
     """
     from simulator.checks import load_scenario
     from simulator.scenario import ScenarioError
+    from simulator.scenario.output import scenario_yaml
 
     try:
         scenario = load_scenario(path, set_)
     except ScenarioError as error:
         print(error, file=sys.stderr)
         return 2
-    print(scenario.to_yaml(), end="")
+    print(scenario_yaml(scenario, origins=scenario.origins()), end="")
     if scenario.environment.has_damage:
         print("", *(f"# {line}" for line in _derived_lines(scenario)), sep="\n")
     return 0

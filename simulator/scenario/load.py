@@ -30,7 +30,7 @@ from simulator.scenario.fields import (
     flatten,
     nest,
 )
-from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, read_chain, with_base
+from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, included_scenarios, read_chain, with_base
 from simulator.scenario.overrides import apply_overrides, set_option, set_values, with_components
 from simulator.scenario.quantities import as_written
 from simulator.scenario.schema import ScenarioModel
@@ -196,6 +196,12 @@ class Scenario(ScenarioModel):
     def fingerprint(self) -> str:
         """SHA-256 of all values, in hexadecimal: the same for equal scenarios."""
         return hashlib.sha256(self.to_yaml(comments=False).encode()).hexdigest()
+
+    def origins(self) -> dict[str, str]:
+        """Where the values that are not defaults are written, by dotted path: file and line, or the option."""
+        included = {str(file): file.name for file in included_scenarios().values()}
+        names = {at.source: included.get(os.path.abspath(at.source), at.source) for at in self._locations.values()}
+        return {path: f"{names[at.source]}:{at.line}" if at.line else at.source for path, at in self._locations.items()}
 
     @contextmanager
     def located(self, key: str) -> Iterator[None]:
