@@ -67,7 +67,7 @@ def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
 
 
 def _derived_lines(scenario: Scenario) -> list[str]:
-    """What the age of the camera makes of its detector, or the reason why it is not known here."""
+    """Values of the detector after the radiation of its age, or the reason why they are not known here."""
     from simulator.study.environment.derived import aged_lines
     from startracker.errors import InputError
 
