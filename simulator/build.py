@@ -84,6 +84,9 @@ def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> Foc
     """
     optics, detector = scenario.optics, scenario.detector
     camera, baffle = build_camera(scenario), optics.baffle
+    exclusion_deg = (baffle.sun_exclusion_deg, baffle.moon_exclusion_deg, baffle.earth_exclusion_deg)
+    with scenario.located("optics.baffle.pst"):
+        shade = build_baffle(baffle.pst, *exclusion_deg, scenario.base_dir)
     response = load_curve(optics.transmission, "transmission", scenario.base_dir) * load_curve(
         detector.quantum_efficiency, "quantum_efficiency", scenario.base_dir
     )
@@ -100,6 +103,8 @@ def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> Foc
         detector.intra_pixel.contrast,
     )
     temperature = lens_temperature(scenario)
+    with scenario.located("optics.psf"):
+        psfs = PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights)
     # The tracker is given the calibrated camera; the sky is rendered through the lens as it is at the epoch.
     true_camera = temperature.camera_at(camera, 0.0)
     return FocalPlane(
@@ -108,20 +113,14 @@ def build_focal_plane(scenario: Scenario, camera_seed: int | None = None) -> Foc
         temperature=temperature,
         displacement=_displacement(scenario, true_camera, photometer, camera_seed),
         photometer=photometer,
-        psfs=PsfSet(optics.psf, lens, (detector.width, detector.height), photometer.bin_weights),
+        psfs=psfs,
         sky=replace(scenario.sky, earth=scenario.sky.earth and not _without_earth(scenario)),
         faint_sky=_faint_sky(scenario),
         aperture_mm=optics.aperture_mm,
         pixel_area_cm2=detector.pitch_um[0] * detector.pitch_um[1] * 1e-8,  # µm² to cm²
         vignetting=optics.vignetting,
         ghosts=optics.ghosts,
-        baffle=build_baffle(
-            baffle.pst,
-            baffle.sun_exclusion_deg,
-            baffle.moon_exclusion_deg,
-            baffle.earth_exclusion_deg,
-            scenario.base_dir,
-        ),
+        baffle=shade,
         tether=scenario.tether,
     )
 
@@ -172,23 +171,30 @@ def build_scenes(scenario: Scenario, trajectory: Trajectory | None = None) -> Sc
     # Rows of a rolling shutter, and of star images beyond the detector, are exposed one after the other.
     orbit, detector = trajectory or build_orbit(scenario), scenario.detector
     margin_lines = detector.height + 2 * _LARGEST_IMAGE_PX if detector.shutter == "rolling" else 0
+    with scenario.located("pointing.jitter"):
+        spectrum = load_spectrum(scenario.pointing.jitter, scenario.base_dir)
+        series = read_jitter(scenario.pointing.jitter, orbit.clock, scenario.base_dir)
     parameters = SceneParameters(
         seed=scenario.seed,
         sampling=scenario.study.sampling,
         pointing=scenario.pointing,
-        spectrum=load_spectrum(scenario.pointing.jitter, scenario.base_dir),
+        spectrum=spectrum,
         sky=scenario.sky,
-        series=read_jitter(scenario.pointing.jitter, orbit.clock, scenario.base_dir),
+        series=series,
         exposure_margin_s=margin_lines * detector.line_time_us * 1e-6,
     )
-    law = build_attitude_law(scenario.pointing, orbit, scenario.base_dir)
-    satellites = load_satellites(scenario.sky.satellites, orbit.clock, scenario.base_dir)
-    return SceneBuilder(parameters, orbit, law, satellites)
+    with scenario.located("pointing"):
+        law = build_attitude_law(scenario.pointing, orbit, scenario.base_dir)
+    with scenario.located("sky.satellites.file"):
+        satellites = load_satellites(scenario.sky.satellites, orbit.clock, scenario.base_dir)
+    with scenario.located("pointing.target"):
+        return SceneBuilder(parameters, orbit, law, satellites)
 
 
 def build_orbit(scenario: Scenario) -> Trajectory:
     """Trajectory of a scenario's spacecraft; `InputError` for a file that cannot be used."""
-    return build_trajectory(scenario.orbit, scenario.epoch, scenario.base_dir)
+    with scenario.located("orbit"):
+        return build_trajectory(scenario.orbit, scenario.epoch, scenario.base_dir)
 
 
 def build_mounting(scenario: Scenario) -> Attitude:
@@ -202,7 +208,8 @@ def build_detector(scenario: Scenario, camera_seed: int | None = None) -> Detect
     The pattern is drawn from `camera_seed`, or from the scenario's seed, and stored in single precision.
     """
     parameters, seed = aged_detector(scenario), scenario.seed if camera_seed is None else camera_seed
-    return Detector(parameters, build_fixed_pattern(parameters, seed).single())
+    with scenario.located("detector"):
+        return Detector(parameters, build_fixed_pattern(parameters, seed).single())
 
 
 def detector_parameters(section: DetectorSection) -> DetectorParameters:
@@ -248,7 +255,8 @@ def build_damage(scenario: Scenario, environment: Environment | None = None) -> 
         If the package of the trapped particles is not installed.
     """
     environment, section = environment or scenario.environment, scenario.detector
-    radiation = orbit_radiation_of(scenario, environment)
+    with scenario.located("environment"):
+        radiation = orbit_radiation_of(scenario, environment)
     pixel = Pixel(section.pitch_um[0] * section.pitch_um[1], section.dark_reference_c, section.kind != "cmos")
     # The detector is behind the camera's shield, the lens behind its own (the glass shield).
     inner, outer = (
@@ -277,7 +285,8 @@ def build_transients(scenario: Scenario) -> Transients | None:
         If the package of the trapped particles is not installed.
     """
     environment = scenario.environment
-    return Transients(environment, build_orbit(scenario).clock) if environment.has_particles else None
+    with scenario.located("environment"):
+        return Transients(environment, build_orbit(scenario).clock) if environment.has_particles else None
 
 
 def shutter_of(section: DetectorSection) -> Shutter:

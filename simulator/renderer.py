@@ -169,7 +169,12 @@ class Renderer:
         half_field_rad = self.focal_plane.half_field_rad(duration_s)
         streams = self._streams(index)
         given = GivenState(at_s, attitude, rate_camera_rad_s, jitter)
-        return self.scenes.scene(index, streams, half_field_rad, duration_s, given)
+        try:
+            return self.scenes.scene(index, streams, half_field_rad, duration_s, given)
+        except InputError as error:
+            if at_s is not None:  # a time that the caller chose is not a matter of the scenario
+                raise
+            raise self.scenario.error_at("study.sampling", error) from error
 
     def expose(self, scene: Scene, exposure_s: float | None = None) -> Illumination:
         """Mean photo-electrons of a scene, before the detector."""

@@ -105,7 +105,7 @@ def validate_command(scenarios: ScenarioFiles) -> None:
 
 
 def show_command(scenario: ScenarioFile, set_values: SetValues = None) -> None:
-    """Print a scenario with all defaults, and what its age makes of the detector."""
+    """Print a scenario with all defaults, and the values of the detector after the radiation of its age."""
     from simulator.cli.scenario_commands import show
 
     raise typer.Exit(show(scenario, set_values or []))

@@ -197,8 +197,11 @@ class SolveRequest:
     ] = None
     catalog: Catalog = "hipparcos"
     magnitude_limit: Annotated[
-        float, option("--magnitude-limit", "V", "Magnitude of the faintest guide star.", _CAMERA)
-    ] = 6.5
+        float | None,
+        option(
+            "--magnitude-limit", "V", "Magnitude of the faintest guide star; by default as the picture needs.", _CAMERA
+        ),
+    ] = None
     parity: Annotated[
         str | None,
         option("--parity", "SIDE", "seen, mirrored or both; default: the camera's, or both without one.", _CAMERA),

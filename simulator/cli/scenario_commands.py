@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 def validate(paths: Sequence[str | Path]) -> int:
     """Check scenario files: a line "… : ok" each on standard output, or every mistake on standard error.
 
+    A scenario that loads is built as for a run, so that what ``run`` refuses is refused here.
+
     Returns
     -------
     int
@@ -21,11 +23,13 @@ def validate(paths: Sequence[str | Path]) -> int:
     """
     from simulator.checks import load_scenario
     from simulator.scenario import ScenarioError
+    from simulator.study.runnable import refuse_unrunnable
 
     status = 0
     for path in paths:
         try:
             scenario = load_scenario(path)
+            refuse_unrunnable(scenario)
         except ScenarioError as error:
             print(error, file=sys.stderr)
             status = 2
@@ -39,7 +43,8 @@ def validate(paths: Sequence[str | Path]) -> int:
 def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
     """Print a scenario with every default spelled out and every key explained; it loads again to an equal one.
 
-    Below it, as comments, the values that follow from the age of the camera.
+    Beside each value that is not a default stands where it is written: in which file of the chain of bases, and in
+    which line. Below it, as comments, the values that follow from the age of the camera.
 
     Returns
     -------
@@ -48,20 +53,21 @@ def show(path: str | Path, set_: Sequence[str] | None = None) -> int:
     """
     from simulator.checks import load_scenario
     from simulator.scenario import ScenarioError
+    from simulator.scenario.output import scenario_yaml
 
     try:
         scenario = load_scenario(path, set_)
     except ScenarioError as error:
         print(error, file=sys.stderr)
         return 2
-    print(scenario.to_yaml(), end="")
+    print(scenario_yaml(scenario, origins=scenario.origins()), end="")
     if scenario.environment.has_damage:
         print("", *(f"# {line}" for line in _derived_lines(scenario)), sep="\n")
     return 0
 
 
 def _derived_lines(scenario: Scenario) -> list[str]:
-    """What the age of the camera makes of its detector, or the reason why it is not known here."""
+    """Values of the detector after the radiation of its age, or the reason why they are not known here."""
     from simulator.study.environment.derived import aged_lines
     from startracker.errors import InputError
 

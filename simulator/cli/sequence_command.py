@@ -71,7 +71,7 @@ def _print(sequence: Sequence, console: Console) -> None:
     print_table(console, title, headings, rows, block=len(BODY_AXES))
     print_judgement(sequence.judgement, console)
     console.print(
-        f"An attitude for {100.0 * summary['availability']:.2f} % of {summary['duration_s']:g} s, "
+        f"Attitude available for {100.0 * summary['availability']:.2f} % of {summary['duration_s']:g} s, "
         + outcome_line(summary)
         + f"; longest outage {summary['longest_outage_s']:g} s"
     )

@@ -24,6 +24,7 @@ from simulator.frame import Frame
 from startracker.blind import solve_unknown_fov
 from startracker.detection import mask_pixels
 from startracker.errors import BoresightError, InputError
+from startracker.geometry.attitude import Attitude
 from startracker.geometry.camera import Camera
 from startracker.images.reading import RowOrder, read_image
 from startracker.observer import Observer
@@ -34,6 +35,11 @@ from startracker.tracker import StarTracker
 _SMALLEST_PX = 16
 _CALIBRATED_PX = 0.7
 """A list of centroids that fits worse than this is not from a camera of exactly the field given."""
+_LIMITS = (6.5, 8.0, 9.5)
+"""Magnitudes of the faintest guide stars that are tried with a known camera: those of star cameras first. Hipparcos is
+complete to about V = 7.3 to 9."""
+_PRIOR_DEG = 0.2
+"""Error of an attitude found with fewer guide stars."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +135,7 @@ def _check(request: SolveRequest) -> None:
         raise InputError("--fov and --camera: give one of the two; a camera file holds its field of view")
     if request.fov_deg is not None and not 0.1 <= request.fov_deg <= 120:
         raise InputError(f"--fov: must be between 0.1 and 120 degrees, not {request.fov_deg:g}")
-    if not math.isfinite(request.magnitude_limit):
+    if request.magnitude_limit is not None and not math.isfinite(request.magnitude_limit):
         raise InputError("--magnitude-limit: must be a number")
     if request.centroids is not None and request.camera is None and request.size is None:
         raise InputError("--centroids: needs --camera, or --size WxH (and --fov where it is known)")
@@ -166,7 +172,7 @@ class _Solver:
         self.request = request
         self.camera = Camera.from_yaml(request.camera) if request.camera else None
         self.bad_pixels = read_image(request.bad_pixels) if request.bad_pixels else None
-        self.trackers: dict[Camera, StarTracker] = {}
+        self.trackers: dict[tuple[Camera, float], StarTracker] = {}
         self.observer = _observer_at(request.time) if request.time else None
 
     def load(self, path: Path) -> _Job:
@@ -301,25 +307,52 @@ class _Solver:
         )
 
     def _with_camera(self, job: _Job, camera: Camera) -> Solution:
+        """Solve with a known camera, with guide stars as faint as those of the picture: deeper as long as its list has
+        more stars than the field has guide stars, and more of them are matched."""
         request = self.request
         if request.sides is not None and job.frame is None:
             camera = replace(camera, parity=request.sides)
-        tracker = self.trackers.get(camera)
-        if tracker is None:
-            tracker = StarTracker(
+        given = request.magnitude_limit
+        first, *deeper = _LIMITS if given is None else (given,)
+        tracker = self._tracker(camera, first)
+        if job.frame is not None:
+            return tracker.solve(job.frame, lost_in_space=request.lost_in_space)
+        best = self._solved_by(tracker, job, None)
+        for limit in deeper:
+            if best.solved and _guide_stars_in_field(tracker, best) >= len(best.centroids):
+                break
+            tracker = self._tracker(camera, limit)
+            found = self._solved_by(tracker, job, best.attitude)
+            if best.solved and found.matched <= best.matched:
+                break
+            best = found if found.solved or not best.solved else best
+        return best
+
+    def _tracker(self, camera: Camera, limit: float) -> StarTracker:
+        if (camera, limit) not in self.trackers:
+            self.trackers[camera, limit] = StarTracker(
                 camera,
-                catalog=request.catalog,
-                magnitude_limit=request.magnitude_limit,
-                identifier=request.method or "adaptive",
-                estimator=request.estimator or "field_fit",
+                catalog=self.request.catalog,
+                magnitude_limit=limit,
+                identifier=self.request.method or "adaptive",
+                estimator=self.request.estimator or "field_fit",
             )
-            self.trackers[camera] = tracker
+        return self.trackers[camera, limit]
+
+    @staticmethod
+    def _solved_by(tracker: StarTracker, job: _Job, prior: Attitude | None) -> Solution:
+        near: dict[str, Any] = {} if prior is None else {"prior": prior, "prior_deg": _PRIOR_DEG}
         if job.xy is not None:
-            return tracker.solve_centroids(job.xy, job.flux, observer=job.observer)
+            return tracker.solve_centroids(job.xy, job.flux, observer=job.observer, **near)
         assert job.image is not None
-        if job.frame is None:
-            return tracker.solve(job.image, saturation_dn=job.saturation_dn, observer=job.observer)
-        return tracker.solve(job.frame, lost_in_space=request.lost_in_space)
+        return tracker.solve(job.image, saturation_dn=job.saturation_dn, observer=job.observer, **near)
+
+
+def _guide_stars_in_field(tracker: StarTracker, solution: Solution) -> int:
+    """Number of guide stars on the image of a solution."""
+    assert solution.attitude is not None
+    assert solution.camera is not None
+    return len(tracker.guide.in_field(solution.attitude.as_matrix(), 0.0, solution.camera)[0])
 
 
 def _after(tried: Solution, chosen: Solution, how: str) -> Solution:

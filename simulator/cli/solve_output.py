@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +14,35 @@ from simulator.cli.checks import picture_format
 from simulator.paths import write_atomically
 from startracker import explain as explaining
 from startracker.core import FloatArray
+from startracker.geometry.attitude import direction_to_radec
+from startracker.geometry.camera import Camera
 from startracker.images.reading import RowOrder
 from startracker.observer import Observer
 from startracker.solution import Solution
 from startracker.wcs import wcs_header
 
+_CENTRED_PX = 0.5
+"""Offset of the principal point above which its direction is printed beside that of the image centre."""
+
 
 def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -> dict[str, Any]:
-    """Solution in plain values; `pixels` (N, 2) with their directions."""
+    """Solution in plain values, with the directions of image centre, principal point and `pixels` (N, 2)."""
     stars = solution.stars
+    ra_deg, dec_deg = _centre_deg(solution)
     return {
         "status": str(solution.status),
         "reason": solution.reason,
-        "ra_deg": solution.ra_deg,
-        "dec_deg": solution.dec_deg,
+        "ra_deg": ra_deg,
+        "dec_deg": dec_deg,
         "roll_deg": solution.roll_deg,
+        "principal_point": {
+            "x": solution.camera.cx,
+            "y": solution.camera.cy,
+            "ra_deg": solution.ra_deg,
+            "dec_deg": solution.dec_deg,
+        }
+        if solution.solved and solution.camera
+        else None,
         "fov_deg": solution.fov_deg,
         "quaternion": [float(v) for v in solution.attitude.quat] if solution.attitude else None,
         "detected": len(solution.centroids),
@@ -82,11 +97,36 @@ def _summary(solution: Solution) -> str:
     rmse = f", residual {solution.rmse_arcsec:.1f}″ rms" if solution.rmse_arcsec is not None else ""
     mirrored = ", mirrored" if solution.parity < 0 else ""
     bodies = "".join(f", {name}" for name in solution.bodies.name)
+    ra_deg, dec_deg = _centre_deg(solution)
+    axis = ""
+    if solution.camera and _offset_px(solution.camera) > _CENTRED_PX:
+        axis = f"principal point RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°, "
     return (
-        f"solved  RA {solution.ra_deg:.4f}°  Dec {solution.dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}  "
-        f"({solution.matched} of {len(solution.centroids)} stars identified{bodies}{rmse}{mirrored}; "
+        f"solved  RA {ra_deg:.4f}°  Dec {dec_deg:+.4f}°  roll {solution.roll_deg:.3f}°{field}  ({axis}"
+        f"{solution.matched} of {len(solution.centroids)} stars identified{bodies}{rmse}{mirrored}; "
         f"{solution.times_ms.get('total', 0.0):.0f} ms)"
     )
+
+
+def _centre(camera: Camera) -> tuple[float, float]:
+    """Pixel at the centre of the image."""
+    return (camera.width - 1) / 2, (camera.height - 1) / 2
+
+
+def _offset_px(camera: Camera) -> float:
+    """Distance of the principal point from the centre of the image."""
+    x, y = _centre(camera)
+    return math.hypot(camera.cx - x, camera.cy - y)
+
+
+def _centre_deg(solution: Solution) -> tuple[float | None, float | None]:
+    """Right ascension and declination of the centre of the image, whichever way the camera is known: of its axis there,
+    in the frame of the attitude, so that a centred principal point has the direction of the attitude."""
+    if solution.attitude is None or solution.camera is None or not _offset_px(solution.camera):
+        return solution.ra_deg, solution.dec_deg
+    direction = solution.camera.unproject([_centre(solution.camera)]) @ solution.attitude.as_matrix()
+    ra_rad, dec_rad = direction_to_radec(direction[0])
+    return math.degrees(float(ra_rad)), math.degrees(float(dec_rad))
 
 
 def _radec_deg(solution: Solution, pixels: FloatArray, observer: Observer | None) -> FloatArray:

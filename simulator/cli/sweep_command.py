@@ -74,12 +74,12 @@ class SweepProgress(WorkBar):
 
 
 def _print(sweep: Sweep, console: Console) -> None:
-    from simulator.study.texts import rate_text, rms_text, value_text
+    from simulator.study.texts import rate_text, rms_text, short_name, value_text
 
     table = sweep.table
     done = [point for point in table["points"] if "statistics" in point]
     paths = [axis["path"] for axis in table["swept"]]
-    short = [path.rpartition(".")[2] for path in paths]
+    short = [short_name(path) for path in paths]
     keys = short if len(set(short)) == len(short) else paths
 
     def row(point: dict[str, Any]) -> list[str]:

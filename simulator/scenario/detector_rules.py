@@ -9,14 +9,13 @@ import numpy as np
 
 from simulator.scenario.errors import Violation, impossible, unphysical
 
-_CCD_ONLY = {
+CCD_ONLY = {
     "antiblooming": (1.0, "charge cannot spill between the pixels of a CMOS detector"),
     "cti_parallel": (0.0, "a CMOS detector transfers no charge between pixels"),
     "cti_serial": (0.0, "a CMOS detector transfers no charge between pixels"),
 }
-
-
-_SHUTTER_OF = {"rolling": ("cmos",), "frame_transfer": ("ccd_frame_transfer", "ccd_full_frame")}
+"""Keys of the effects that a CMOS detector does not have: the value that turns them off, and the reason."""
+SHUTTER_OF = {"rolling": ("cmos",), "frame_transfer": ("ccd_frame_transfer", "ccd_full_frame")}
 """Kinds of detector that can have a shutter, the usual one first; a full-frame CCD may be read out under light."""
 
 
@@ -30,17 +29,17 @@ def contradictions(values: Mapping[str, Any]) -> Iterator[Violation]:
         `KeyError`: its value is invalid and already reported.
     """
     if values["detector.kind"] == "cmos":
-        for key, (off, why) in _CCD_ONLY.items():
+        for key, (off, why) in CCD_ONLY.items():
             value = values[f"detector.{key}"]
             if value != off:
                 message = f"{value:g} with detector.kind: cmos, but {why}; use {off:g} or kind: ccd_full_frame"
                 yield impossible(f"detector.{key}", message)
 
     shutter, kind = values["detector.shutter"], values["detector.kind"]
-    if shutter in _SHUTTER_OF and kind not in _SHUTTER_OF[shutter]:
-        has = " and ".join(_SHUTTER_OF[shutter])
+    if shutter in SHUTTER_OF and kind not in SHUTTER_OF[shutter]:
+        has = " and ".join(SHUTTER_OF[shutter])
         message = f"{shutter} with detector.kind: {kind}, which only {has} can have"
-        yield impossible("detector.shutter", message + f"; use kind: {_SHUTTER_OF[shutter][0]}, or shutter: global")
+        yield impossible("detector.shutter", message + f"; use kind: {SHUTTER_OF[shutter][0]}, or shutter: global")
 
     for key in ("hot_columns", "dead_columns"):
         if values[f"detector.{key}"] > values["detector.width"]:

@@ -51,8 +51,9 @@ class Key:
 
     @property
     def name(self) -> str:
-        """The last part of the path."""
-        return self.path.rpartition(".")[2]
+        """The last part of the path; of a component of a list, that of the list."""
+        above, _, name = self.path.rpartition(".")
+        return above.rpartition(".")[2] if name.isdigit() else name
 
     @property
     def description(self) -> str:
@@ -89,6 +90,18 @@ def keys_of(section: type, prefix: str = "") -> dict[str, Key]:
         path = f"{prefix}.{name}" if prefix else name
         keys[name] = Key(path, annotation, default, section, base if is_section(base) else None)
     return keys
+
+
+def component_key(path: str, keys: Mapping[str, Key]) -> Key | None:
+    """Key of one component of a list of fixed length, such as ``pointing.rate_deg_s.0``; None if there is none."""
+    above, _, index = path.rpartition(".")
+    if above not in keys or not index.isdecimal():
+        return None
+    for branch in _branches(keys[above].annotation):
+        items = get_args(branch) if get_origin(branch) is tuple else ()
+        if Ellipsis not in items and int(index) < len(items):
+            return dataclasses.replace(keys[above], path=path, annotation=items[int(index)], default=MISSING)
+    return None
 
 
 def is_section(kind: Any) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from simulator.mission.parameters import ATTITUDE_FILES, FILES
+from simulator.scenario.alternatives import layered
 from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, read_text, show_value
 from simulator.scenario.errors import Location, Problem
 from simulator.scenario.overrides import merge
@@ -113,7 +114,7 @@ def with_base(tree: Table, name: str, problems: list[Problem], chain: tuple[tupl
         problems.append(Problem(entry.location, "base", f"the files form a circular chain of bases: {circle}"))
         return None
     below = read_chain(Path(base_name), base_name, problems, chain, entry.location)
-    return merge(below, tree) if below else None
+    return layered(below, tree) if below else None
 
 
 def absolute_files(tree: Table, folder: str) -> Table:

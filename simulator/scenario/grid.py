@@ -1,8 +1,9 @@
 """Points of a sweep: the values of keys in ``--over`` options, and their combinations.
 
 ``path=low:high:count`` is a range of `count` evenly spaced values including both ends; ``,log`` spaces them evenly in
-the logarithm. ``path=v1,v2,…`` is a list of values as YAML writes them: numbers, names, lists in brackets. Several
-options form a full grid, in which the last key varies fastest, or a Latin hypercube.
+the logarithm. ``path=v1,v2,…`` is a list of values as YAML writes them: numbers, names, lists in brackets. A path may
+end with the index of a component, ``pointing.rate_deg_s.0``. Several options form a full grid, in which the last key
+varies fastest, or a Latin hypercube.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 
 from simulator.scenario.document import REPORTED, Table, parse_value, show_value
 from simulator.scenario.errors import Location, Problem, ScenarioError
-from simulator.scenario.fields import Key, NameChecks, all_keys, check_value
+from simulator.scenario.fields import Key, NameChecks, all_keys, check_value, component_key
 from simulator.scenario.output import yaml_value
 from startracker.errors import InputError
 
@@ -111,10 +112,10 @@ def parse_swept_keys(texts: Iterable[str], names: NameChecks | None = None) -> t
             problems.append(Problem(location, path, "given twice; put all values into one --over"))
         elif path in _NOT_SWEPT:
             problems.append(Problem(location, path, _NOT_SWEPT[path]))
-        elif path not in keys:
+        elif path not in keys and component_key(path, keys) is None:
             problems.append(Problem(location, path, _unknown(path, keys)))
         else:
-            found = _parse(keys[path], written, location, problems)
+            found = _parse(component_key(path, keys) or keys[path], written, location, problems)
             if found and _check(found, location, names or {}, problems):
                 swept[path] = found
     if problems:

@@ -6,9 +6,10 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from simulator.scenario.alternatives import replaced_keys
 from simulator.scenario.document import show_value
 from simulator.scenario.errors import Violation, impossible
-from simulator.scenario.fields import Key, all_keys, check_value
+from simulator.scenario.fields import Key, all_keys, check_value, nest
 from simulator.scenario.physics import RULES, violations, violations_of
 from simulator.scenario.schema_heads import OVERRIDDEN, HeadSection
 
@@ -29,12 +30,21 @@ def head_values(head: HeadSection) -> dict[str, Any]:
     return values
 
 
+def overlaid(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by dotted path with others over them; keys that the others replace have their defaults."""
+    values = dict(below)
+    for path in replaced_keys(nest(values), nest(dict(above))):
+        inside = (key for key in all_keys() if not key.section and f"{key.path}.".startswith(f"{path}."))
+        values |= {key.path: key.default for key in inside}
+    return {**values, **above}
+
+
 def values_of_heads(path: str, v: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """For each head that overrides a key: the path of its value, and all values of the scenario of that head."""
     for k, head in enumerate(v.get("heads", ())):
         values = _checked(head)[0]
         if path in values:
-            yield f"heads[{k}].{path}", {**v, **values}
+            yield f"heads[{k}].{path}", overlaid(v, values)
         elif path == "pointing.mounting":
             yield f"heads[{k}].mounting", {**v, path: head.mounting}
 
@@ -70,7 +80,7 @@ def _contradictions(v: Mapping[str, Any]) -> Iterator[Violation]:
             yield impossible(
                 f"heads[{k}].tracker.in_flight_calibration.use", "is not available for a head; set it to false"
             )
-        for violation in violations(alone | values):
+        for violation in violations(overlaid(alone, values)):
             if violation not in common and violation.key.startswith(OVERRIDDEN):
                 yield violation._replace(key=f"heads[{k}].{violation.key}")
     # Both need a single camera whose frames they control or calibrate.

@@ -1,40 +1,40 @@
 """Loading of a scenario file and its bases as a frozen `Scenario`; all errors are reported at once, with locations.
 
-Steps: text → tree with locations (`document`) → merged over its base, with options over both (`overrides`) → values
-checked against the schema (`fields`) → physical plausibility (`physics`) → `Scenario`. Names of algorithms and curves
-belong to later stages; `simulator.checks` passes their checks as `names`.
+Steps: text → tree with locations (`document`) → over its base, options over both, without the keys that these replace
+(`alternatives`) → values checked against the schema (`tables`) → physical plausibility (`physics`) → `Scenario`. Names
+of algorithms and curves belong to later stages; `simulator.checks` passes their checks as `names`.
 """
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import PrivateAttr, ValidationError, model_validator
 
 from simulator.scenario import heads, physics
-from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_document, show_value
+from simulator.scenario.alternatives import layered, with_sampling
+from simulator.scenario.document import Table, parse_document
 from simulator.scenario.errors import Location, Problem, ScenarioError, Violation
 from simulator.scenario.fields import (
-    MISSING,
     Key,
     NameChecks,
     all_keys,
     check_value,
+    component_key,
     flatten,
-    item_section,
-    keys_of,
     nest,
 )
-from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, read_chain, with_base
-from simulator.scenario.overrides import apply_overrides, merge, set_option, set_values
+from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, included_scenarios, read_chain, with_base
+from simulator.scenario.overrides import apply_overrides, set_option, set_values, with_components
 from simulator.scenario.quantities import as_written
 from simulator.scenario.schema import ScenarioModel
+from simulator.scenario.tables import check_table, location_of, locations_of
 from startracker.arguments import file_path, names_of, switch
 from startracker.arguments import text as text_of
 from startracker.display import described
@@ -67,6 +67,7 @@ class Scenario(ScenarioModel):
     """
 
     _path: Path | None = PrivateAttr(default=None)
+    _locations: dict[str, Location] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -196,6 +197,33 @@ class Scenario(ScenarioModel):
         """SHA-256 of all values, in hexadecimal: the same for equal scenarios."""
         return hashlib.sha256(self.to_yaml(comments=False).encode()).hexdigest()
 
+    def origins(self) -> dict[str, str]:
+        """Where the values that are not defaults are written, by dotted path: file and line, or the option."""
+        included = {str(file): file.name for file in included_scenarios().values()}
+        names = {at.source: included.get(os.path.abspath(at.source), at.source) for at in self._locations.values()}
+        return {path: f"{names[at.source]}:{at.line}" if at.line else at.source for path, at in self._locations.items()}
+
+    @contextmanager
+    def located(self, key: str) -> Iterator[None]:
+        """Within it, an `InputError` becomes that of `error_at`."""
+        try:
+            yield
+        except InputError as error:
+            raise self.error_at(key, error) from error
+
+    def error_at(self, key: str, error: InputError) -> ScenarioError:
+        """An error with the location of the key that its message names, or of `key`; of its section, if the key is not
+        written."""
+        if isinstance(error, ScenarioError):
+            return error
+        named, _, message = str(error).partition(": ")
+        if named not in _KEYS:
+            named, message = key, str(error)
+        path = named
+        while path and path not in self._locations:
+            path = path.rpartition(".")[0]
+        return ScenarioError([Problem(self._locations.get(path, Location(self.source_name)), named, message)])
+
     def files(self) -> dict[str, Path]:
         """Existing files that values of the scenario name, by dotted key."""
         flat = flatten(self)
@@ -224,16 +252,24 @@ class Scenario(ScenarioModel):
     def changed(self, values: Mapping[str, Any]) -> Scenario:
         """The same scenario with other values by dotted path, checked again; relative file names remain valid.
 
-        Values may be astropy quantities, as in `load`.
+        Values may be astropy quantities, as in `load`. Keys that exclude the new ones, such as the width of another
+        model of the star images, return to their defaults.
         """
         if not isinstance(values, Mapping) or not all(isinstance(path, str) for path in values):
             raise InputError(f"values must be a mapping of dotted paths to values; got {values!r}")
         written = {path: as_written(path, value, _KEYS) for path, value in values.items()}
+        for path in [path for path in written if component_key(path, _KEYS)]:
+            above, _, index = path.rpartition(".")
+            whole = written.get(above, flatten(self)[above])
+            if not isinstance(whole, (list, tuple)) or int(index) >= len(whole):
+                raise InputError(f"{path}: {above} is {whole!r}, which has no such component")
+            written[above] = [*whole[: int(index)], written.pop(path), *whole[int(index) + 1 :]]
         try:
-            scenario = type(self).model_validate(nest(flatten(self) | written))
+            scenario = type(self).model_validate(nest(heads.overlaid(flatten(self), written)))
         except ValidationError as error:
             raise ScenarioError(_problems_of(error)) from None
         scenario._path = self._path
+        scenario._locations = {key: location for key, location in self._locations.items() if key not in written}
         return scenario
 
 
@@ -267,24 +303,27 @@ def _build(
     for option, path, value in (("--seed", "seed", seed), ("--trials", "study.trials", trials)):
         if value is not None:
             options = set_option(options, option, path, value)
+    options = with_components(options, tree, _KEYS, problems)
     # Files in options are relative to the working folder, files in a scenario to the scenario's folder.
-    tree = merge(tree, absolute_files(options, ""))
-    flat = _check_table(tree, ScenarioModel, "", Location(top.source), problems)
+    tree = with_sampling(layered(tree, absolute_files(options, "")))
+    flat = check_table(tree, ScenarioModel, "", Location(top.source), problems)
     # Rules and checks run even if there are invalid values, which are missing in `flat`, so that everything is reported
     # at once.
     allowed = flat.get("allow_unphysical", False)
     for violation in heads.all_violations(flat):
         if not (violation.overridable and allowed):
-            problems.append(Problem(_location_of(tree, violation.key), violation.key, _advice(violation)))
+            problems.append(Problem(location_of(tree, violation.key), violation.key, _advice(violation)))
     for path, check in (names or {}).items():
         for written, values in ((path, flat), *heads.values_of_heads(path, flat)):
             if path in values and (message := check(values[path], values)):
-                problems.append(Problem(_location_of(tree, written), written, message))
+                problems.append(Problem(location_of(tree, written), written, message))
     if problems:
         raise ScenarioError(problems)
     for problem in _unread(tree, flat):
         warnings.warn(str(problem), InputWarning, stacklevel=3)
-    return cls.model_validate(nest(flat))
+    scenario = cls.model_validate(nest(flat))
+    scenario._locations = dict(locations_of(tree))
+    return scenario
 
 
 def _unread(tree: Table, flat: Mapping[str, Any]) -> list[Problem]:
@@ -292,102 +331,8 @@ def _unread(tree: Table, flat: Mapping[str, Any]) -> list[Problem]:
     identifier = flat["tracker.identifier"]
     keys = (f"tracker.identification.{name}" for name in unread_keys(identifier))
     message = f"not used by the identifier '{identifier}'"
-    return [Problem(_location_of(tree, key), key, message) for key in keys if flat[key] != _KEYS[key].default]
+    return [Problem(location_of(tree, key), key, message) for key in keys if flat[key] != _KEYS[key].default]
 
 
 def _advice(violation: Violation) -> str:
     return violation.message + (physics.ALLOW if violation.overridable else "")
-
-
-def _check_table(
-    table: Table, section: type, prefix: str, location: Location, problems: list[Problem]
-) -> dict[str, Any]:
-    """Valid values of a section and its subsections by dotted path, including defaults; errors are appended."""
-    flat: dict[str, Any] = {}
-    keys = keys_of(section, prefix)
-    misspelt = set()  # a required key that is only misspelt is not reported as missing as well
-    for name, entry in table.entries.items():
-        if name not in keys:
-            path = f"{prefix}.{name}" if prefix else name
-            problems.append(Problem(entry.location, path, _unknown(name, prefix, keys, bool(entry.location.key))))
-            misspelt |= set(difflib.get_close_matches(name, keys, n=1))
-    for name, key in keys.items():
-        found = table.entries.get(name)
-        if found and isinstance(found.node, Value) and found.node.data is REPORTED:
-            continue
-        if key.section:
-            if found is None:
-                missing = [k.name for k in keys_of(key.section, key.path).values() if k.default is MISSING]
-                if missing and name in misspelt:
-                    continue
-                if missing:
-                    problems.append(
-                        Problem(location, key.path, f"section is missing; it needs {' and '.join(missing)}")
-                    )
-                else:
-                    flat |= _check_table(Table(location), key.section, key.path, location, problems)
-            elif isinstance(found.node, Table):
-                flat |= _check_table(found.node, key.section, key.path, found.location, problems)
-            else:
-                what = show_value(found.node.data)
-                message = f"must be a section with keys, not {what}"
-                if found.node.data is None:
-                    message += "; remove the line to use the defaults"
-                problems.append(Problem(found.location, key.path, message))
-        elif found is not None:
-            data = found.node.plain() if isinstance(found.node, Table) else found.node.data
-            value, message = check_value(key, data)
-            if message:
-                problems.append(Problem(_location_of_item(key, found), key.path, message))
-            else:
-                flat[key.path] = value
-        elif key.default is MISSING:
-            if name in misspelt:  # already reported as the misspelt key
-                continue
-            problems.append(Problem(location, key.path, "required key is missing"))
-        else:
-            flat[key.path] = key.default
-    return flat
-
-
-def _location_of_item(key: Key, found: Entry) -> Location:
-    """Location of an invalid value; in a list of sections, that of its first invalid item."""
-    items = found.node.items if isinstance(found.node, Value) and item_section(key.annotation) else ()
-    plain = [item.plain() if isinstance(item, Table) else item.data for item in items]
-    wrong = [item.location for item, data in zip(items, plain, strict=True) if check_value(key, [data])[1]]
-    return wrong[0] if wrong else found.location
-
-
-def _unknown(name: str, prefix: str, keys: Mapping[str, Key], option: bool) -> str:
-    """Message for a key that is not in its section."""
-    homes = [k.path.rpartition(".")[0] for k in all_keys() if k.name == name]
-    if name == "base":
-        return "unknown key; base belongs to the top level of the file"
-    if homes:
-        where = " or ".join(f"section '{home}'" if home else "the top level" for home in homes)
-        return f"unknown key; it belongs to {where}"
-    if close := difflib.get_close_matches(name, keys, n=1):
-        return f"unknown key; did you mean '{prefix + '.' if option and prefix else ''}{close[0]}'?"
-    elsewhere = {k.name: k.path for k in all_keys()}
-    if close := difflib.get_close_matches(name, elsewhere, n=1, cutoff=0.75):
-        return f"unknown key; did you mean '{elsewhere[close[0]]}'?"
-    return f"unknown key; known here: {', '.join(keys)}"
-
-
-def _location_of(tree: Table, path: str) -> Location:
-    """Location of a key, otherwise that of its section, otherwise the file."""
-    # A part of the path may have the number of an item of a list, as in heads[1].optics.
-    location, node = Location(tree.location.source), tree
-    for part in path.split("."):
-        name, _, number = part.rstrip("]").partition("[")
-        entry = node.entries.get(name)
-        if entry is None:
-            break
-        location, inner = entry.location, entry.node
-        if number and isinstance(inner, Value) and int(number) < len(inner.items):
-            inner = inner.items[int(number)]
-            location = inner.location
-        if not isinstance(inner, Table):
-            break
-        node = inner
-    return location

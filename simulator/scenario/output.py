@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,15 +17,17 @@ _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./-]*( [A-Za-z0-9_./-]+)*")
 _RESERVED = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
 
 
-def scenario_yaml(scenario: ScenarioModel, comments: bool = True) -> str:
+def scenario_yaml(scenario: ScenarioModel, comments: bool = True, origins: Mapping[str, str] | None = None) -> str:
     """Every key with its value, in the order of the schema, optionally with its description and unit as a comment
-    above."""
+    above, and with where it is written as a comment beside it (`origins`, by dotted path)."""
     lines: list[str] = []
-    _write(scenario, "", 0, comments, lines)
+    _write(scenario, "", 0, comments, origins or {}, lines)
     return "\n".join(lines) + "\n"
 
 
-def _write(section: object, prefix: str, depth: int, comments: bool, lines: list[str]) -> None:
+def _write(
+    section: object, prefix: str, depth: int, comments: bool, origins: Mapping[str, str], lines: list[str]
+) -> None:
     indent = "  " * depth
     kind: Any = type(section) if prefix else ScenarioModel
     for name, key in keys_of(kind, prefix).items():
@@ -35,9 +38,10 @@ def _write(section: object, prefix: str, depth: int, comments: bool, lines: list
             lines += [f"{indent}# {line}" for line in textwrap.wrap(_comment(key), 110 - len(indent))]
         if key.section:
             lines.append(f"{indent}{name}:")
-            _write(value, key.path, depth + 1, comments, lines)
+            _write(value, key.path, depth + 1, comments, origins, lines)
         else:
-            lines.append(f"{indent}{name}: {yaml_value(value)}")
+            beside = f"  # {origins[key.path]}" if key.path in origins else ""
+            lines.append(f"{indent}{name}: {yaml_value(value)}{beside}")
 
 
 def _comment(key: Key) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from simulator.scenario.document import Entry, Table, Value, parse_value
+from simulator.scenario.document import REPORTED, Entry, Table, Value, parse_value
 from simulator.scenario.errors import Location, Problem
-from simulator.scenario.fields import Key
+from simulator.scenario.fields import Key, component_key
 from simulator.scenario.quantities import as_written
 from startracker.errors import InputError
 
@@ -38,6 +38,40 @@ def apply_overrides(tree: Table, overrides: Iterable[str], problems: list[Proble
             if value is not None:
                 tree = merge(tree, _nest(path, value, location))
     return tree
+
+
+def with_components(options: Table, below: Table, keys: Mapping[str, Key], problems: list[Problem]) -> Table:
+    """Options in which components of lists (``pointing.rate_deg_s.0``) are lists, with the other components of the tree
+    below or of the default."""
+
+    def filled(table: Table, old: Table, prefix: str) -> Table:
+        entries = {}
+        for name, (location, node) in table.entries.items():
+            path, under = f"{prefix}{name}", old.entries.get(name)
+            inner, new = under.node if under else None, node
+            if isinstance(node, Table) and path in keys and not keys[path].section:
+                data = inner.data if isinstance(inner, Value) else keys[path].default
+                new = _with_items(node, data, path, keys, problems)
+            elif isinstance(node, Table):
+                new = filled(node, inner if isinstance(inner, Table) else Table(location), f"{path}.")
+            entries[name] = Entry(location, new)
+        return Table(table.location, entries)
+
+    return filled(options, below, "")
+
+
+def _with_items(items: Table, data: Any, path: str, keys: Mapping[str, Key], problems: list[Problem]) -> Table | Value:
+    """A list with some components replaced; the table itself, whose error the schema reports, if they are none."""
+    if not all(name.isdecimal() for name in items.entries):
+        return items
+    values = list(data) if isinstance(data, (list, tuple)) else []
+    for name, entry in items.entries.items():
+        if component_key(f"{path}.{name}", keys) is None or int(name) >= len(values):
+            last = f"has the components 0 to {len(values) - 1}" if values else "has no components; give the whole value"
+            problems.append(Problem(entry.location, f"{path}.{name}", f"{path} {last}"))
+            return Value(REPORTED, items.location)
+        values[int(name)] = entry.node.data if isinstance(entry.node, Value) else entry.node.plain()
+    return Value(values, items.location)
 
 
 def set_option(tree: Table, option: str, path: str, value: object) -> Table:

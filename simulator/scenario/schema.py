@@ -106,7 +106,8 @@ class StudySection(Section):
     """Number of frames."""
     sampling: Literal["mission_year", "orbit", "span", "sky"] = "mission_year"
     """``mission_year``: times distributed over a year; ``orbit``: over one orbit, or one rotation of a spinning body;
-    ``span``: from the epoch to the end of an ephemeris; ``sky``: random attitudes at the epoch."""
+    ``span``: from the epoch to the end of an ephemeris, the default of a file whose orbit or attitude is that of
+    another file; ``sky``: random attitudes at the epoch."""
     sky_without_earth: bool = True
     """With `sampling: sky` and no `pointing.target`: omit the Earth, which would occult a third of the sky; it then
     neither occults stars nor emits light. False: as set by `sky.earth`."""

@@ -195,20 +195,18 @@ def standing(folder: Path, kind: str) -> Identity | None:
 
 
 def unfinished_identity(folder: Path, kind: str) -> Identity | None:
-    """Identity of an unfinished run in a folder of parts; None if there is none.
+    """Identity of an unfinished run in a folder of parts; None if there is none, or if it finished nothing.
 
     Raises
     ------
     InputError
         For unidentifiable parts.
     """
-    try:
+    # A run that failed before its first part, for a value that is now corrected, left only its identity.
+    if not any(path.is_file() and path.name != IDENTITY_FILE for path in folder.rglob("[!.]*")):
+        return None
+    with contextlib.suppress(OSError, ValueError, TypeError):
         return Identity.from_dict(kind, json.loads((folder / IDENTITY_FILE).read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        if not any(folder.glob("[0-9]*.parquet")):
-            return None
-    except (OSError, ValueError, TypeError):
-        pass
     raise InputError(
         f"{folder}: unidentifiable unfinished trials (of another version, or damaged); "
         "choose another --out, or discard them with --force"

@@ -19,18 +19,19 @@ def build_tracker(scenario: Scenario, camera: Camera) -> StarTracker:
     catalog: str | StarCatalog = section.catalog
     if section.catalogue_errors != CatalogueErrors():
         catalog = _erroneous(load_catalog(section.catalog), section.catalogue_errors, scenario.seed)
-    return StarTracker(
-        camera,
-        catalog=catalog,
-        magnitude_limit=section.magnitude_limit,
-        detector=section.detector,
-        centroider=section.centroider,
-        identifier=section.identifier,
-        estimator=section.estimator,
-        detection=section.detection,
-        centroid=section.centroid,
-        identification=section.identification,
-    )
+    with scenario.located("tracker"):
+        return StarTracker(
+            camera,
+            catalog=catalog,
+            magnitude_limit=section.magnitude_limit,
+            detector=section.detector,
+            centroider=section.centroider,
+            identifier=section.identifier,
+            estimator=section.estimator,
+            detection=section.detection,
+            centroid=section.centroid,
+            identification=section.identification,
+        )
 
 
 @lru_cache(maxsize=2)

@@ -65,3 +65,9 @@ def rate_text(statistics: dict[str, Any]) -> str:
 def value_text(value: Any, digits: str = ".6g") -> str:
     """A number of a key or of a table, with the digits given if it is not whole; – if there is none."""
     return "–" if value is None else f"{value:{digits}}" if isinstance(value, float) else str(value)
+
+
+def short_name(path: str) -> str:
+    """Last part of the path of a key; of a component of a list, ``rate_deg_s.0``."""
+    *_, above, name = ["", *path.split(".")]
+    return f"{above}.{name}" if name.isdecimal() else name

@@ -255,5 +255,5 @@ def test_command_line(tmp_path, capsys):
         )
         == 0
     )
-    assert "An attitude for 100.00 % of 0.75 s, none wrong" in " ".join(capsys.readouterr().out.split())
+    assert "Attitude available for 100.00 % of 0.75 s, none wrong" in " ".join(capsys.readouterr().out.split())
     assert pq.read_table(tmp_path / "sequence.parquet")["elapsed_s"].to_pylist() == [0.0, 0.25, 0.5]

@@ -1,6 +1,7 @@
 """Options of ``boresight solve`` on a drawn field of known attitude: account, pixels, WCS, picture, parity, maps."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -137,3 +138,37 @@ def test_every_estimator_runs_under_its_name(sky, solve, tmp_path):
     assert (code, err.strip().endswith("did you mean 'svd'?")) == (2, True)
     code, _, err = solve(sky, "--estimator", "svd")
     assert (code, "--estimator needs --camera or --fov" in err) == (2, True)
+
+
+def test_a_known_camera_reaches_as_deep_as_the_picture(sky, solve, tmp_path):
+    """Stars to V = 7 in a part of the picture with fewer guide stars to V = 6.5 than stars."""
+    part, camera = tmp_path / "part.png", tmp_path / "camera.yaml"
+    with Image.open(sky) as image:
+        image.crop((120, 90, 520, 390)).save(part)
+    replace(CAMERA, width=400, height=300, cx=CAMERA.cx - 120, cy=CAMERA.cy - 90).to_yaml(camera)
+    deep, shallow = (
+        json.loads(solve(part, "--json", "--camera", camera, *limit)[1]) for limit in ((), ("--magnitude-limit", "6.5"))
+    )
+    assert deep["matched"] > shallow["matched"]
+    assert deep["matched"] >= 0.9 * deep["detected"]
+    assert max(star["v_mag"] for star in deep["stars"]) > 6.5 >= max(star["v_mag"] for star in shallow["stars"])
+
+
+def test_the_direction_is_that_of_the_image_centre_wherever_the_principal_point_is(sky, solve, tmp_path):
+    """A part of the picture whose camera has its principal point 60 px and 20 px from the middle of that part."""
+    part, file = tmp_path / "part.png", tmp_path / "camera.yaml"
+    with Image.open(sky) as image:
+        image.crop((0, 0, 520, 440)).save(part)
+    camera = replace(CAMERA, width=520, height=440)
+    camera.to_yaml(file)
+    middle = CAMERA.unproject(np.array([[259.5, 219.5]])) @ ATTITUDE.as_matrix()
+    ra_deg, dec_deg = np.degrees(np.stack(direction_to_radec(middle[0])))
+    answer = json.loads(solve(part, "--json", "--camera", file)[1])
+    assert (answer["ra_deg"], answer["dec_deg"]) == pytest.approx((ra_deg, dec_deg), abs=WIDE)
+    axis = answer["principal_point"]
+    assert (axis["x"], axis["y"]) == (camera.cx, camera.cy)
+    assert (axis["ra_deg"], axis["dec_deg"]) == pytest.approx((84.0, 2.0), abs=WIDE)
+    assert "(principal point RA 8" in solve(part, "--camera", file)[1]
+    blind = json.loads(solve(part, "--json")[1])
+    assert (blind["ra_deg"], blind["dec_deg"]) == pytest.approx((ra_deg, dec_deg), abs=WIDE)
+    assert "principal point" not in solve(part)[1]

@@ -243,7 +243,6 @@ def test_laws_of_scenarios(tmp_path):
     assert renderer.scenes.law.span_s == ORBIT.span_s
     (tmp_path / "other.csv").write_text("t_s\n0\n")
     for name, override, message in (
-        ("w", "pointing.track.target=Sun", r"pointing.track.target: the attitude is already defined by pointing.waypo"),
         (
             "w",
             "pointing.waypoints.max_rate_deg_s=0.1",
@@ -255,6 +254,10 @@ def test_laws_of_scenarios(tmp_path):
     ):
         with pytest.raises(ScenarioError, match=message):
             load_scenario(files[name], [override])
+    assert load_scenario(files["w"], ["pointing.track.target=Sun"]).pointing.laws == ("track",)  # replaces the slews
+    both = ["pointing.track.target=Sun", "pointing.target=Moon"]
+    with pytest.raises(ScenarioError, match=r"pointing.track.target: the attitude is already defined by pointing.targ"):
+        load_scenario(files["w"], both)
     spline = ["pointing.waypoints.profile=spline", "study.sampling=span"]
     assert all(0.0 <= Renderer(load_scenario(files["w"], spline)).scene(k).t_s <= 60.0 for k in range(3))
     for name in ("w", "g"):

@@ -114,3 +114,16 @@ def test_show_of_an_aged_camera_has_derived_values(tmp_path, capsys):
     assert means[0] - means[1] == pytest.approx(expected, rel=0.02)
     assert show("cubesat_ideal") == 0
     assert "Derived" not in capsys.readouterr().out
+
+
+def test_show_names_where_each_value_is_written(tmp_path, capsys):
+    own = tmp_path / "own.yaml"
+    own.write_text("base: cubesat\noptics: {aperture_mm: 12}\n")
+    assert show(own, ["detector.width=300"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert f"  aperture_mm: 12.0  # {own}:2" in lines
+    assert "  width: 300  # --set detector.width" in lines
+    assert any(re.fullmatch(r"  faint_magnitude_limit: 12.0  # cubesat.yaml:\d+", line) for line in lines)
+    assert any(re.fullmatch(r"  focal_length_mm: 25.0  # cubesat_ideal.yaml:\d+", line) for line in lines)
+    assert "  obscuration: 0.0" in lines  # a default
+    assert Scenario.parse("\n".join(lines)) == Scenario.load(own, ["detector.width=300"])

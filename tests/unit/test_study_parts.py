@@ -12,10 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from simulator.scenario import Scenario
+from simulator.study.results_folder import unfinished_identity
 from simulator.study.trials import parts
 from simulator.study.trials.checked_files import DAMAGED_FOLDER
 from simulator.study.trials.columns import Columns
-from simulator.study.trials.parts import PartStore, discard_parts
+from simulator.study.trials.parts import PARTS_FOLDER, PartStore, discard_parts
 from startracker.errors import BoresightError, InputError
 
 
@@ -155,6 +156,20 @@ def test_parts_of_another_scenario_are_refused_and_more_trials_are_not(scenario,
         ):
             PartStore(scenario.with_values(seed=scenario.seed + 1), tmp_path, resume)
     assert len(files(tmp_path)) == 1
+
+
+def test_a_run_that_finished_nothing_stands_in_nobodys_way(scenario, tmp_path):
+    PartStore(scenario, tmp_path, resume=False)
+    store = PartStore(scenario.with_values(seed=scenario.seed + 1), tmp_path, resume=False)
+    store.put(range(5), rows(range(5)))
+    assert unfinished_identity(tmp_path / PARTS_FOLDER, "run").seed == scenario.seed + 1
+
+
+def test_parts_without_an_identity_are_refused(scenario, tmp_path):
+    PartStore(scenario, tmp_path, resume=False).put(range(5), rows(range(5)))
+    (tmp_path / PARTS_FOLDER / "identity.json").unlink()
+    with pytest.raises(InputError, match="unidentifiable unfinished trials"):
+        PartStore(scenario, tmp_path, resume=False)
 
 
 def test_results_that_stand_are_taken_over(scenario, tmp_path):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from simulator.study.axes import AXES, AXIS_TITLES
 from simulator.study.plots import picture, save_bytes
 from simulator.study.style import BLUE, GREEN, INK, ORANGE, SOFT, VERMILION, Panel
+from simulator.study.texts import short_name
 from startracker.core import ARCSEC_PER_DEG
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def against(table: dict[str, Any], path: str) -> SweepFigure:
     position = _position_along(axis, table["points"])
     families: dict[str, list[Point]] = {}
     for point in done:
-        label = ", ".join(f"{other.rpartition('.')[2]} {_text(point['values'][other])}" for other in others)
+        label = ", ".join(f"{short_name(other)} {_text(point['values'][other])}" for other in others)
         families.setdefault(label, []).append(point)
     is_grid = table["kind"] == "grid"
     shown = families if is_grid and len(families) <= MAX_CURVES else None
