@@ -93,6 +93,7 @@ AREAS = {
             "*/test_bodies_phase",
             "*/test_bodies_at_the_limb",
             "*/test_jitter_s*",
+            "statistical/test_jitter_s*",
             "*/test_error_function",
             "*/test_tether",
             "oracle/test_camera_errors",
