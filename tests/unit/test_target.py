@@ -22,7 +22,9 @@ def test_names_of_stars_and_bodies():
         find_target("Nibiru", bright)
 
 
-@pytest.mark.parametrize(("catalogue", "number", "other"), [("hipparcos", 32349, "HR 2491"), ("bsc5", 2491, "HIP 32349")])
+@pytest.mark.parametrize(
+    ("catalogue", "number", "other"), [("hipparcos", 32349, "HR 2491"), ("bsc5", 2491, "HIP 32349")]
+)
 def test_a_star_by_its_proper_name_and_by_the_number_of_its_own_catalogue(catalogue, number, other):
     stars = load_catalog(catalogue).brighter_than(3.0)
     prefix = {"hipparcos": "HIP", "bsc5": "hr"}[catalogue]
