@@ -3,6 +3,7 @@ rendered."""
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import pytest
@@ -80,19 +81,23 @@ def test_the_least_availability_is_that_of_the_trade_then_of_the_specification(o
     assert Known(scenario, trade(least_availability=of_trade)).least_availability == least
 
 
+def entry(value_deg, limit_deg=10.0):
+    return {"yaw": {"value_deg": value_deg, "specified_deg": limit_deg}}
+
+
 @pytest.mark.parametrize(
     ("point", "factors", "within"),
     [
-        (Point(1.0, "", availability=0.9, specification={"yaw": {"value_deg": 9.0, "specified_deg": 10.0}}), {}, True),
-        (Point(1.0, "", availability=0.8, specification={"yaw": {"value_deg": 9.0, "specified_deg": 10.0}}), {}, False),
+        (Point(1.0, "", availability=0.9, specification=entry(9.0)), {}, True),
+        (Point(1.0, "", availability=0.8, specification=entry(9.0)), {}, False),
         (Point(1.0, "", availability=None), {}, False),
         (Point(1.0, "no such camera", availability=1.0), {}, False),
-        (Point(1.0, "", availability=1.0, specification={"a": {"value_deg": None, "specified_deg": 1.0}}), {}, False),
-        (Point(1.0, "", availability=1.0, specification={"a": {"value_deg": 5.0, "specified_deg": 10.0}}), {"a": 2.0}, True),
-        (Point(1.0, "", availability=1.0, specification={"a": {"value_deg": 5.1, "specified_deg": 10.0}}), {"a": 2.0}, False),
+        (Point(1.0, "", availability=1.0, specification=entry(None)), {}, False),
+        (Point(1.0, "", availability=1.0, specification=entry(5.0)), {"yaw": 2.0}, True),
+        (Point(1.0, "", availability=1.0, specification=entry(5.1)), {"yaw": 2.0}, False),
         (Point(1.0, "", availability=1.0, specification={"availability": {"specified": 0.5, "value": 0.1}}), {}, True),
     ],
-)  # fmt: skip
+)
 def test_a_point_is_within_its_limits(point, factors, within):
     assert point.within(factors, 0.9) is within
 
@@ -187,7 +192,7 @@ def test_errors_that_no_value_brings_within_the_limit(monkeypatch):
     assert found.contradicted
     assert found.answer is None
     assert values[-1] == 30.0
-    for less, more in zip(values, values[1:], strict=False):
+    for less, more in pairwise(values):
         assert more == pytest.approx(min(1.5 * less, 30.0), rel=1e-5)
     told = found.to_dict()
     assert told["answer"] is None
@@ -222,8 +227,14 @@ def test_the_upper_limit_of_an_error_gives_the_factor():
 
 @pytest.mark.parametrize(
     ("failed", "confirmed", "following"),
-    [((), (8.0,), None), ((7.5,), (8.0,), None), ((9.0,), (8.0,), None), ((4.0,), (9.0,), 6.0), ((2.0, 4.0), (9.0, 25.0), 6.0)],
-)  # fmt: skip
+    [
+        ((), (8.0,), None),
+        ((7.5,), (8.0,), None),
+        ((9.0,), (8.0,), None),
+        ((4.0,), (9.0,), 6.0),
+        ((2.0, 4.0), (9.0, 25.0), 6.0),
+    ],
+)
 def test_bisection_between_contradicted_and_confirmed(failed, confirmed, following):
     runs = [run_of(value, 100.0) for value in failed] + [run_of(value, 0.1) for value in confirmed]
     assert [run.accepted for run in runs] == [False] * len(failed) + [True] * len(confirmed)
