@@ -6,14 +6,18 @@ from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from simulator.checks import load_scenario
+from simulator.study.coverage.prediction import Prediction
 from simulator.study.design import verification
-from simulator.study.design.search import DEFAULT_AVAILABILITY, Design, Point, Search, Trade, changed, design
+from simulator.study.design.search import DEFAULT_AVAILABILITY, Design, Point, Search, Trade, _point, changed, design
 from simulator.study.design.verification import MOST_RUNS, Verification, verified_design, verify
-from simulator.study.specification.requirements import Requirement
+from simulator.study.specification.predicted import Predicted
+from simulator.study.specification.requirements import Requirement, Specification
 from simulator.study.specification.verdicts import MET, NOT_MET, Estimate, Judgement, Verdict
+from startracker.errors import InputError
 
 SCENARIO = load_scenario("cubesat_ideal", ["detector.width=64", "detector.height=64", "specification.availability=0.9"])
 LIMIT = 10.0  # of the error about yaw, which is 60 over the value of the parameter
@@ -120,6 +124,42 @@ def test_fields_that_no_lens_has(field_deg):
         changed(SCENARIO, "field", field_deg)
 
 
+@pytest.mark.parametrize(
+    ("limits", "counted", "met"),
+    [
+        ((1.0,), 10, True),
+        ((1e-4,), 10, False),
+        ((1.0, 1e-4), 10, False),
+        ((1.0,), 8, False),  # too few attitudes
+        ((1.0, None), 10, True),  # what cannot be predicted does not count
+        ((1e-4, None), 10, False),
+    ],
+)
+def test_a_point_is_met_by_all_that_can_be_predicted(limits, counted, met):
+    """1e-6 rad about every axis are 5.7e-5°, of which 99.7 % are below 1.7e-4°."""
+    axes = ("yaw", "roll")
+    required = [
+        Requirement("acquisition", 1.0, 50.0) if limit is None else Requirement(axis, limit, 99.7, axis)
+        for axis, limit in zip(axes, limits, strict=False)
+    ]
+    covariance = np.tile(np.eye(3) * 1e-12, (counted, 1, 1))
+    evidence = Predicted(covariance, np.eye(3), 10, Specification(tuple(required)), 0.1)
+    found = _point(3.0, Prediction(6.5, np.array([4, 9, 5]), evidence), 0.9)
+    assert found.met is met
+    assert (found.availability, found.stars_min, found.stars_mean) == (counted / 10, 4, 6.0)
+    assert (found.value, found.magnitude_limit) == (3.0, 6.5)
+    assert found.three_sigma_deg["yaw"] == pytest.approx(3.0 * math.degrees(1e-6))
+    none = _point(3.0, Prediction(6.5, np.zeros(3, int), replace(evidence, covariance_rad2=covariance[:0])), 0.9)
+    assert none.three_sigma_deg == dict.fromkeys(AXES)
+    assert not none.met
+
+
+@pytest.mark.parametrize("keys", [{"high": math.inf}, {"low": 0.0}, {"low": 31.0}, {"low": 30.0}])
+def test_ranges_that_cannot_be_searched(keys):
+    with pytest.raises(InputError, match="must be 0 < from < to"):
+        trade(**keys).check()
+
+
 # ---------------------------------------------------------------- verification
 def judgement(measured, frames=3000, wrong=0, spread=0.0):
     """A measured error about yaw, known to `spread` of it."""
@@ -162,6 +202,14 @@ def test_a_prediction_that_holds_needs_one_run(monkeypatch):
     assert told["answer"] == told["verification"]["value"] == found.design.best.value
     assert told["verification"]["accepted"] is True
     assert told["verification"]["contradicted"] is False
+
+
+def test_a_prediction_without_runs_is_the_answer_itself():
+    found = search()
+    unverified = verification.Verified(design(SCENARIO, found.trade, search=found), ()).to_dict()
+    assert unverified["answer"] == found.smallest().value
+    assert unverified["verification"] is None
+    assert unverified["verifications"] == []
 
 
 def test_a_contradicted_prediction_is_corrected_by_its_factor(monkeypatch):

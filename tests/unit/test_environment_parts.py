@@ -16,6 +16,8 @@ from simulator.environment.galactic import GalacticCosmicRays, proton_rigidity_g
 from simulator.environment.parameters import Environment
 from simulator.environment.spectrum import Spectrum
 from simulator.environment.transients import LocalFlux, Transients
+from simulator.environment.trapped import TrappedBelts
+from simulator.mission.frames import itrs_km
 from simulator.study.environment import derived, survey
 from simulator.study.environment.survey import EnvironmentSurvey, Track
 
@@ -233,6 +235,17 @@ def test_a_thick_shield_stops_all_electrons_of_the_map():
     assert thick.galactic_protons[0] == thick.galactic_helium[0] == 0.0
     total = thin.trapped_protons.sum() + thin.trapped_electrons[0]
     assert thin.total[0] == pytest.approx(total, rel=1e-12)
+
+
+def test_groups_of_trapped_protons_behind_a_wall_begin_before_it_and_end_with_the_map():
+    """The energies before 20 mm of aluminium that are left behind it; the map ends at 400 MeV."""
+    pytest.importorskip("aep8")
+    groups = Transients(Environment(trapped="ap8", shield_mm=20.0), CLOCK).flux(np.zeros(1), POSITION).trapped_protons
+    before = shield.incident_proton_mev(np.array([0.5, 5.0, 15.0, 40.0, 100.0]), 20.0)
+    assert before[0] > 60.0
+    positions = itrs_km(CLOCK, np.zeros(1), POSITION)
+    above, _ = TrappedBelts("min").fluxes(positions, float(CLOCK.jyear(0.0)), np.append(before, 400.0), np.empty(0))
+    assert groups[0] == pytest.approx(-0.5 * np.diff(above[0]), rel=1e-9)
 
 
 def test_groups_of_particles_have_their_charge_and_empty_ones_are_left_out(monkeypatch):

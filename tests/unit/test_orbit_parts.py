@@ -14,7 +14,7 @@ from simulator.mission.parameters import Waypoint, Waypoints
 from simulator.mission.sampling import TROPICAL_YEAR_S, trial_time_s
 from simulator.mission.slews import build_slews, trapezoid
 from simulator.mission.tables import read_rows
-from simulator.mission.trajectory import UNLIMITED
+from simulator.mission.trajectory import GM_KM3_S2, UNLIMITED
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 
@@ -91,6 +91,19 @@ def test_keplers_equation_holds_over_several_turns(eccentricity):
 def test_eccentricities_that_no_ellipse_has(eccentricity):
     with pytest.raises(InputError, match="an ellipse has an eccentricity from 0 to below 1"):
         eccentric_anomaly(0.1, eccentricity)
+
+
+def test_gravitational_parameters_have_the_published_ratios_of_masses():
+    """Sun over planet with its satellites, IAU 2009 (Luzum et al. 2011); 2e-4, as some are of the planet alone."""
+    ratios = {
+        "Mercury": 6_023_600.0, "Venus": 408_523.719, "Earth-Moon barycentre": 328_900.5596, "Mars": 3_098_703.59,
+        "Jupiter": 1_047.348644, "Saturn": 3_497.9018, "Uranus": 22_902.98, "Neptune": 19_412.26,
+    }  # fmt: skip
+    for body, ratio in ratios.items():
+        assert GM_KM3_S2["Sun"] / GM_KM3_S2[body] == pytest.approx(ratio, rel=2e-4), body
+    assert GM_KM3_S2["Earth"] / GM_KM3_S2["Moon"] == pytest.approx(81.300_568, rel=1e-6)
+    assert GM_KM3_S2["Earth-Moon barycentre"] == pytest.approx(GM_KM3_S2["Earth"] + GM_KM3_S2["Moon"], rel=1e-12)
+    assert GM_KM3_S2["Sun"] / GM_KM3_S2["Pluto barycentre"] == pytest.approx(1.36566e8, rel=6e-3)
 
 
 # ---------------------------------------------------------------- interpolation

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from simulator.sky import background, catalogue_errors, faint_stars, instants
+from simulator.sky.apparent import largest_shift_rad
 from simulator.sky.celestial_frames import GALACTIC
 from simulator.sky.colours import population_giant_share, spectral_coordinates
 from simulator.sky.extinction import extinction_over_av, relative_extinction
@@ -16,6 +17,7 @@ from simulator.sky.satellites import behind_earth, standard_magnitude, sunlit_sh
 from simulator.sky.solar_system import RADIUS_KM
 from simulator.sky.star_counts import count_between, draw_magnitudes, light_between_s10
 from startracker.geometry.attitude import direction_to_radec, radec_to_direction
+from startracker.observer import Observer
 
 SQUARE_DEGREES = 4.0 * math.pi * math.degrees(1.0) ** 2
 EARTH_KM, SUN_KM = 6378.137, 1.495978707e8
@@ -202,6 +204,21 @@ def test_the_standard_magnitude_of_a_diffuse_sphere():
     assert standard_magnitude(1.0, 0.2) == pytest.approx(-26.74 - 2.5 * math.log10(share), abs=1e-9)
     assert standard_magnitude(2.0, 0.2) - standard_magnitude(1.0, 0.2) == pytest.approx(-5.0 * math.log10(2.0))
     assert standard_magnitude(1.0, 0.0) == standard_magnitude(0.0, 0.2) == math.inf
+
+
+def test_the_largest_shift_of_a_star_contains_that_of_every_direction():
+    """Aberration v/c, parallax of the nearest star and deflection at the Sun's limb; at least 30″ near the Earth, also
+    where velocity or place are not known."""
+    arcsec = math.radians(1.0 / 3600.0)
+    nothing = Observer(2026.0, None, None)
+    assert largest_shift_rad(nothing) == pytest.approx(30.0 * arcsec)
+    assert largest_shift_rad(Observer(2026.0, np.array([0.0, 30.0, 0.0]), None)) == pytest.approx(30.0 * arcsec)
+    fast = largest_shift_rad(Observer(2026.0, np.array([60.0, 0.0, 80.0]), None))
+    assert 100.0 / 299_792.458 + 1.75 * arcsec < fast < 1.02 * (100.0 / 299_792.458 + 1.75 * arcsec)
+    far = largest_shift_rad(Observer(2026.0, None, np.array([60.0, 80.0, 0.0])))
+    assert 100.0 * 0.768 * arcsec + 1.75 * arcsec < far < 1.03 * (100.0 * 0.768 * arcsec + 1.75 * arcsec)
+    both = largest_shift_rad(Observer(2026.0, np.array([0.0, 0.0, 100.0]), np.array([0.0, 100.0, 0.0])))
+    assert both == pytest.approx(fast + far - 1.76 * arcsec, rel=1e-6)  # the deflection counts once
 
 
 # ---------------------------------------------------------------- catalogue errors, defaults
