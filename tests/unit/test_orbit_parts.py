@@ -13,6 +13,7 @@ from simulator.mission.kepler import Elements, eccentric_anomaly, elements_of, p
 from simulator.mission.parameters import Waypoint, Waypoints
 from simulator.mission.sampling import TROPICAL_YEAR_S, trial_time_s
 from simulator.mission.slews import build_slews, trapezoid
+from simulator.mission.spk import ChebyshevTable
 from simulator.mission.tables import read_rows
 from simulator.mission.trajectory import GM_KM3_S2, UNLIMITED
 from startracker.errors import InputError
@@ -121,6 +122,26 @@ def test_nodes_of_a_polynomial_are_the_nearest(nodes):
         apart = np.abs(at - np.rint(at)) > 1e-9  # at another node the bump has no weight
         expected = (first <= node) & (node < first + nodes)
         assert np.array_equal(found[apart], expected[apart])
+
+
+@pytest.mark.parametrize("states", [False, True])
+def test_chebyshev_tables_hold_at_the_ends_of_their_intervals(states):
+    """A cubic in each of three intervals of 10 s from 5 s on, and its derivative; the last instant is of the last."""
+    curve = np.polynomial.Polynomial([1.0, -2.0, 0.03, 0.002])
+    coefficients = []
+    for k in range(3):
+        within = curve(np.polynomial.Polynomial([5.0 + 10.0 * k + 5.0, 5.0]))  # of a variable from −1 to 1
+        along = np.polynomial.chebyshev.poly2cheb(within.coef)
+        slope = np.polynomial.chebyshev.chebder(along) / 5.0
+        parts = [along, 2.0 * along, 3.0 * along]
+        if states:
+            parts += [np.append(factor * slope, 0.0) for factor in (1.0, 2.0, 3.0)]
+        coefficients.append(np.stack(parts, axis=1))
+    table = ChebyshevTable(5.0, 10.0, np.stack(coefficients, axis=1))
+    at = np.array([5.0, 7.3, 15.0, 24.999, 25.0, 34.0, 35.0])
+    found = table.state(at)
+    expected = np.concatenate([np.outer(part(at), [1.0, 2.0, 3.0]) for part in (curve, curve.deriv())], axis=1)
+    assert found == pytest.approx(expected, rel=1e-12)
 
 
 # ---------------------------------------------------------------- times
