@@ -24,6 +24,7 @@ from simulator.exposure import Exposure, Shutter
 from simulator.frame import FrameTruth, TrueSources
 from simulator.light import near_image, path_middles
 from simulator.randomness import seed_of, stream
+from simulator.renderer import flat_parameters
 from simulator.scenario.schema import DetectorSection
 from simulator.units import UNITS, unit_suffix
 from startracker.geometry.attitude import Attitude
@@ -260,3 +261,92 @@ def test_streams_need_a_seed_and_a_trial(seed, trial):
     with pytest.raises(ValueError, match="a stream needs a seed from 0 and a trial from -1 up"):
         stream(seed, "a", trial)
     assert stream(0, "a", -1).random() != stream(0, "a", 0).random()
+
+
+# ---------------------------------------------------------------- renderers
+TINY = ["detector.width=64", "detector.height=48", "sky.magnitude_limit=4", "optics.focal_length_mm=6"]
+TINY += ["optics.aperture_mm=4", "detector.line_time_us=20", "detector.prnu=0.01"]
+
+
+@pytest.fixture(scope="module")
+def tiny():
+    return Renderer(Scenario.load("cubesat_ideal", TINY))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"detector.exposure_s": 0.35},
+        {"detector.shutter": "rolling"},
+        {"detector.read_noise_e": 33.0},
+        {"detector.prnu": 0.2},
+        {"detector.pixel_pitch_um": 7.0},
+        {"optics.aperture_mm": 3.0, "detector.temperature_c": 45.0},
+        {"sky.magnitude_limit": 2.0},
+        {"orbit.altitude_km": 700.0},
+        {"pointing.jitter.rms_arcsec": (60.0, 60.0, 60.0)},
+        {"environment.galactic": True},
+        {"tracker.prior": False},
+    ],
+    ids=lambda values: next(iter(values)),
+)
+def test_a_renderer_with_other_values_is_that_of_the_other_scenario(tiny, values):
+    """What is shared does not depend on the values: frame and truth are those of a new renderer, bit for bit."""
+    shared, new = tiny.changed(values), Renderer(tiny.scenario.changed(values))
+    (frame, truth), (expected, true) = (renderer.frame(2) for renderer in (shared, new))
+    assert np.array_equal(frame.image, expected.image)
+    assert np.array_equal(truth.mean_electrons, true.mean_electrons)
+    assert (frame.camera, frame.exposure_s, frame.parameters) == (
+        expected.camera,
+        expected.exposure_s,
+        expected.parameters,
+    )
+    assert (frame.read_noise_e, frame.gain_e_per_dn) == (expected.read_noise_e, expected.gain_e_per_dn)
+    assert (frame.prior is None) is (expected.prior is None)
+    assert truth.particles_cm2_s == true.particles_cm2_s
+    assert np.array_equal(truth.attitude.quat, true.attitude.quat)
+    same, _ = tiny.frame(2)
+    assert np.array_equal(same.image, tiny.changed({"study.trials": 7}).frame(2)[0].image)
+
+
+def test_a_frame_states_what_is_known_on_board(tiny):
+    frame, truth = tiny.frame(3)
+    section = tiny.scenario.detector
+    assert (frame.index, frame.seed, frame.scenario) == (3, tiny.scenario.seed, tiny.scenario.name)
+    assert (frame.offset_dn, frame.exposure_s) == (section.offset_dn, section.exposure_s)
+    assert frame.read_noise_e == pytest.approx(section.read_noise_e)
+    assert frame.prior_deg == tiny.scenario.pointing.error_deg
+    assert frame.utc == tiny.scenes.clock.isot(truth.t_s)
+    assert frame.observer.epoch_jyear == pytest.approx(tiny.scenes.clock.jyear(truth.t_s), abs=1e-12)
+    still = tiny.changed({"pointing.error_deg": 0.0}).frame(3)[0]
+    assert still.prior_deg == 0.1  # the least one that is stated
+
+
+def test_a_frame_with_an_error_of_its_time_is_taken_at_the_true_one(tiny):
+    late = tiny.changed({"detector.time_tag.offset_s": 0.25})
+    (frame, truth), (plain, true) = late.frame(3), tiny.frame(3)
+    assert truth.time_tag_error_s == 0.25
+    assert truth.t_s == true.t_s
+    assert np.array_equal(frame.image, plain.image)
+    assert frame.utc == tiny.scenes.clock.isot(truth.t_s + 0.25)
+    jittered = tiny.changed({"detector.time_tag.offset_s": 0.25, "detector.time_tag.jitter_s": 0.01})
+    errors = [jittered.frame(k)[1].time_tag_error_s for k in range(3)]
+    assert len(set(errors)) == 3
+    assert errors == pytest.approx([0.25] * 3, abs=0.05)
+
+
+def test_read_noise_with_an_intensifier_is_in_photo_electrons():
+    """⟨g⟩ = 50 and F² = 2.02: 101 of the detector's electrons are one of the curve of photon transfer."""
+    keys = [*TINY, "detector.intensifier.gain=50", "detector.read_noise_e=202", "detector.reset_capacitance_ff=0"]
+    assert Renderer(Scenario.load("cubesat_ideal", keys)).frame(0)[0].read_noise_e == pytest.approx(2.0, rel=1e-9)
+
+
+def test_keys_of_a_header_are_scalars_and_texts(tiny):
+    found = tiny.parameters
+    assert found["detector.width"] == 64
+    assert found["pointing.jitter.rms_arcsec"] == "0.0 0.0 0.0"
+    assert "optics.baffle.pst" not in found  # null
+    assert not any(key.startswith(("pointing.track.", "tracker.", "study.")) for key in found)
+    assert all(isinstance(value, int | float | str | bool) for value in found.values())
+    tracking = tiny.scenario.changed({"pointing.track.target": "nadir"})
+    assert any(key.startswith("pointing.track.") for key in flat_parameters(tracking))
