@@ -133,6 +133,7 @@ AREAS = {
             "*/test_illumination*",
             "*/test_camera_errors",
             "*/test_scenario_*",
+            "unit/test_jitter_series",
             "*/test_satellites",
             "*/test_truth_of_stars",
             "*/test_target",

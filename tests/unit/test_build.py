@@ -3,10 +3,12 @@
 import math
 from dataclasses import MISSING, fields, replace
 
+import erfa
 import numpy as np
 import pytest
+from scipy import constants as scipy_constants
 
-from simulator import Renderer, Scenario, build
+from simulator import Renderer, Scenario, build, constants
 from simulator.build import (
     aged_detector,
     build_camera,
@@ -350,3 +352,31 @@ def test_keys_of_a_header_are_scalars_and_texts(tiny):
     assert all(isinstance(value, int | float | str | bool) for value in found.values())
     tracking = tiny.scenario.changed({"pointing.track.target": "nadir"})
     assert any(key.startswith("pointing.track.") for key in flat_parameters(tracking))
+
+
+# ---------------------------------------------------------------- constants
+def test_constants_are_those_of_their_sources():
+    """CODATA as in SciPy, WGS 84 as in ERFA, and EGM96's normalised coefficients C̄n0 with Jn = −√(2n + 1) C̄n0."""
+    assert constants.PLANCK_J_S == scipy_constants.h
+    assert constants.BOLTZMANN_J_K == scipy_constants.k
+    assert constants.ELEMENTARY_CHARGE_C == scipy_constants.e
+    assert erfa.eform(1)[0] / 1e3 == constants.EARTH_RADIUS_KM
+    assert constants.EARTH_GM_KM3_S2 == 398_600.4418
+    assert constants.SECONDS_PER_YEAR == 31_557_600.0
+    normalised = (-0.484165371736e-3, 0.957254173792e-6, 0.539873863789e-6, 0.685323475630e-7, -0.149957994714e-6)
+    expected = [-math.sqrt(2.0 * n + 1.0) * c for n, c in enumerate(normalised, 2)]
+    assert constants.EARTH_ZONALS == pytest.approx(expected, rel=3e-7)
+    assert constants.EARTH_ZONALS[0] == constants.EARTH_J2
+
+
+def test_damage_is_that_of_the_area_of_a_pixel():
+    """Of a solar event: interactions in proportion to 5 × 8 µm², whichever way round."""
+    keys = [*SMALL, "environment.age_years=1", "environment.solar_proton_events=1", "environment.depletion_um=3"]
+    found = [
+        build.build_damage(Scenario.load("cubesat_ideal", [*keys, f"detector.pixel_pitch_um=[{x}, {y}]"]))
+        for x, y in ((5, 8), (8, 5), (5, 5))
+    ]
+    interactions = [one.displacement.interactions_per_pixel for one in found]
+    assert interactions[0] == pytest.approx(interactions[1], rel=1e-12)
+    assert interactions[0] / interactions[2] == pytest.approx(1.6, rel=1e-12)
+    assert interactions[2] > 0.0
