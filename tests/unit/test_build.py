@@ -29,6 +29,7 @@ from simulator.randomness import seed_of, stream
 from simulator.renderer import flat_parameters
 from simulator.scenario.schema import DetectorSection
 from simulator.units import UNITS, unit_suffix
+from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude
 
 SMALL = ["detector.width=128", "detector.height=96", "study.trials=1"]
@@ -322,6 +323,24 @@ def test_a_frame_states_what_is_known_on_board(tiny):
     assert frame.observer.epoch_jyear == pytest.approx(tiny.scenes.clock.jyear(truth.t_s), abs=1e-12)
     still = tiny.changed({"pointing.error_deg": 0.0}).frame(3)[0]
     assert still.prior_deg == 0.1  # the least one that is stated
+
+
+def test_the_prior_is_the_attitude_to_its_error_and_is_left_out_where_the_tracker_has_none(tiny):
+    wide = tiny.changed({"pointing.error_deg": 2.0, "tracker.prior": True})
+    frame, truth = wide.frame(3)
+    off_deg = np.degrees(np.abs(frame.prior.rotation_vector_to(truth.attitude)))
+    assert 0.0 < np.linalg.norm(off_deg) < 2.0 * math.sqrt(3.0)
+    assert frame.prior_deg == 2.0
+    assert wide.changed({"tracker.prior": False}).frame(3)[0].prior is None
+
+
+@pytest.mark.parametrize("index", [-1, 2**63])
+def test_trials_and_seeds_are_whole_numbers_of_63_bits(tiny, index):
+    with pytest.raises(InputError, match="index"):
+        tiny.scene(index)
+    with pytest.raises(InputError, match="camera_seed"):
+        Renderer(tiny.scenario, camera_seed=index)
+    assert tiny.scene(2**63 - 1).t_s >= 0.0
 
 
 def test_a_frame_with_an_error_of_its_time_is_taken_at_the_true_one(tiny):
