@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ import pytest
 from simulator import Scenario
 from simulator.study.datasheet import tasks, timing
 from simulator.study.datasheet.dependence import DEFAULT_HOT_E_S, residuals, robustness
+from simulator.study.datasheet.frames import DatasheetFrames
 from simulator.study.datasheet.scan import LARGEST_SHARE, LENGTH_PX, STEP_PX, ScanGeometry, scan_geometry
 from simulator.study.datasheet.sheet import FULL, QUICK, Amounts, Estimate, cross_square_deg2, proportion
+from simulator.study.datasheet.tables import number_text
 from simulator.study.datasheet.tasks import MOST_SCENARIOS, Task, TaskRunner, joined, trial_tasks
 from simulator.study.specification.verdicts import frames_needed
 from simulator.study.statistics import CAMERA_AXES
@@ -251,3 +254,134 @@ def test_pairs_of_a_warmer_lens_are_a_whole_task_at_least_and_the_trials_at_most
     (sky,) = (task for task in camera.tasks if task.method == "model_residuals")
     assert sky.arguments == (0, per_point)
     assert not sky.scenario.sky.light_deflection
+
+
+@pytest.mark.parametrize(
+    ("value", "largest", "text"),
+    [
+        (1.23456, None, "1.23"), (123.456, None, "123"), (-0.0123456, None, "−0.0123"), (1.23456e-4, None, "0.000123"),
+        (1.23456e-5, None, "1.2e-05"), (0.0, None, "0"), (math.inf, None, "–"), (math.nan, 1.0, "–"),
+        (1.23456, 987.0, "1"), (1.23456, 0.0123, "1.2346"), (0.0, 5.0, "0.00"), (1.0, 0.0, "–"),
+    ],
+)  # fmt: skip
+def test_numbers_have_three_digits_of_the_largest(value, largest, text):
+    assert number_text(value, largest) == text.replace("e-", "e−")
+
+
+# ---------------------------------------------------------------- frames
+def test_a_task_is_a_sequence_or_a_method_of_the_frames_of_its_scenario(monkeypatch):
+    frames = SimpleNamespace(at_rate=lambda *arguments: {"asked": arguments})
+    monkeypatch.setattr(tasks, "sequence_columns", lambda scenario: {"sequence": scenario})
+    monkeypatch.setattr(tasks, "_frames_of", lambda scenario: frames)
+    assert tasks.run_task(Task(SCENARIO, "sequence")) == {"sequence": SCENARIO}
+    assert tasks.run_task(Task(SCENARIO, "at_rate", (3, 4, 1.5))) == {"asked": (3, 4, 1.5)}
+
+
+@pytest.fixture(scope="module")
+def small():
+    keys = ["detector.width=256", "detector.height=192", "sky.magnitude_limit=3", "sky.planets=true"]
+    return DatasheetFrames(Scenario.load("cubesat_ideal", keys))
+
+
+class Frames:
+    """A renderer that records what it is asked for."""
+
+    def __init__(self, renderer):
+        self.camera, self.scene, self.asked = renderer.camera, renderer.scene, []
+
+    def frame(self, index, **keys):
+        self.asked.append((index, keys))
+        nothing = {
+            "saturation_dn": 4000.0,
+            "gain_e_per_dn": 2.0,
+            "prior": "prior",
+            "prior_deg": 1.5,
+            "observer": "here",
+        }
+        return SimpleNamespace(image=np.zeros((192, 256)), **nothing), SimpleNamespace()
+
+
+@pytest.mark.parametrize(("body", "angle_deg"), [("sun", 20.0), ("moon", 35.0), ("earth", 8.0)])
+def test_frames_near_a_body_have_its_angle_at_the_time_of_the_trial(small, monkeypatch, body, angle_deg):
+    """From the centre of Sun and Moon, from the limb of the Earth; every frame at another azimuth and roll."""
+    frames, judged = Frames(small.renderer), iter([1.0, np.nan, 1.0])
+    monkeypatch.setattr(small, "renderer", frames)
+    monkeypatch.setattr(small, "_measured", lambda *_: (np.array([1.0, 1.0, next(judged)]), np.array([0]), True))
+    found = small.near_body(5, 3, body, angle_deg)
+    assert found["right"].tolist() == [True, False, True]
+    assert [index for index, _ in frames.asked] == [30_000_005, 30_000_006, 30_000_007]
+    rolls = []
+    for k, (_, keys) in enumerate(frames.asked):
+        scene = frames.scene(5 + k)
+        assert keys["at_s"] == scene.t_s
+        radius_km = np.linalg.norm(scene.r_km)
+        centre = {
+            "sun": scene.sun_direction,
+            "moon": scene.bodies.direction[list(scene.bodies.name).index("Moon")],
+            "earth": -scene.r_km / radius_km,
+        }[body]
+        limb_deg = math.degrees(math.asin(6378.137 / radius_km)) if body == "earth" else 0.0
+        away_deg = math.degrees(math.acos(keys["attitude"].boresight @ centre))
+        assert away_deg == pytest.approx(angle_deg + limb_deg, abs=1e-9)
+        rolls.append(keys["attitude"].roll_deg)
+    assert len(set(np.round(rolls, 3))) == 3
+
+
+@pytest.mark.parametrize("number", [0, 4])
+def test_false_stars_have_fluxes_and_errors_of_true_ones_at_random_places(small, monkeypatch, number):
+    frames = Frames(small.renderer)
+    stars = SimpleNamespace(xy=np.array([[10.0, 20.0], [200.0, 100.0]]), flux=np.array([1000.0, 50.0]))
+    solutions = iter(["yes", "unsolved", "nothing matched", "yes"])
+    asked = []
+
+    class Tracker:
+        def solve(self, image, **keys):
+            assert keys == {"saturation_dn": 4000.0, "gain_e_per_dn": 2.0}
+            self.state = next(solutions)
+            seen = type("Seen", (), {"xy": stars.xy, "flux": stars.flux, "__len__": lambda _: 2})()
+            return SimpleNamespace(attitude=None if self.state == "unsolved" else "attitude", stars=seen)
+
+        def solve_centroids(self, xy, flux, **keys):
+            asked.append((xy, flux, keys))
+            return "solution"
+
+    tracker = Tracker()
+    monkeypatch.setattr(small, "renderer", frames)
+    monkeypatch.setattr(small.runner, "tracker", tracker)
+    matched = "simulator.study.datasheet.frames.matched_sources"
+    monkeypatch.setattr(matched, lambda *_: np.arange(0 if tracker.state == "nothing matched" else 2))
+    monkeypatch.setattr(small, "_bounds_px", lambda *_: np.array([0.02, 0.3]))
+    monkeypatch.setattr(small, "_judged", lambda solution, truth: (np.array([1.0, 2.0, 3.0]), None, True))
+    found = small.with_false_stars(7, 4, number)
+    assert found["right"].tolist() == [True, False, False, True]
+    assert found["error_cross_y_deg"][[0, 3]].tolist() == [2.0, 2.0]
+    assert [index for index, _ in frames.asked] == [7, 8, 9, 10]
+    assert len(asked) == 2
+    for xy, flux, keys in asked:
+        assert xy.shape == (2 + number, 2)
+        assert np.array_equal(xy[:2], stars.xy)
+        assert flux[:2].tolist() == [1000.0, 50.0]
+        error_of = {1000.0: 0.02, 50.0: 0.3}
+        assert keys["sigma_px"].tolist() == [error_of[one] for one in flux]
+        assert (keys["prior"], keys["prior_deg"], keys["observer"]) == ("prior", 1.5, "here")
+        assert ((xy[2:] >= -0.5) & (xy[2:] <= np.array([255.5, 191.5]))).all()
+    if number:
+        assert not np.array_equal(asked[0][0][2:], asked[1][0][2:])
+
+
+def test_false_stars_fill_the_whole_image(small, monkeypatch):
+    """Positions of 4,000: the mean is the middle to 5/√(12 · 4,000) of a side, and the outermost pixels have some."""
+    frames, asked = Frames(small.renderer), []
+    one = type("Seen", (), {"xy": np.array([[10.0, 20.0]]), "flux": np.ones(1), "__len__": lambda _: 1})()
+    solved = SimpleNamespace(attitude="attitude", stars=one)
+    tracker = SimpleNamespace(solve=lambda *_, **__: solved, solve_centroids=lambda xy, *_, **__: asked.append(xy))
+    monkeypatch.setattr(small, "renderer", frames)
+    monkeypatch.setattr(small.runner, "tracker", tracker)
+    monkeypatch.setattr("simulator.study.datasheet.frames.matched_sources", lambda *_: np.array([0]))
+    monkeypatch.setattr(small, "_bounds_px", lambda *_: np.array([0.02]))
+    monkeypatch.setattr(small, "_judged", lambda *_: (np.zeros(3), None, True))
+    small.with_false_stars(0, 1, 4000)
+    size, places = np.array([256.0, 192.0]), asked[0][1:]
+    assert places.mean(axis=0) == pytest.approx((size - 1.0) / 2.0, abs=5.0 * 256.0 / math.sqrt(12.0 * 4000))
+    assert (places.min(axis=0) < 0.5).all()
+    assert (places.max(axis=0) > size - 1.5).all()
