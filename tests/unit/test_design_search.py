@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simulator.checks import load_scenario
-from simulator.study.coverage.prediction import Prediction
+from simulator.study.coverage.prediction import Prediction, left_out
 from simulator.study.design import verification
 from simulator.study.design.search import DEFAULT_AVAILABILITY, Design, Point, Search, Trade, _point, changed, design
 from simulator.study.design.verification import MOST_RUNS, Verification, verified_design, verify
@@ -158,6 +158,25 @@ def test_a_point_is_met_by_all_that_can_be_predicted(limits, counted, met):
 def test_ranges_that_cannot_be_searched(keys):
     with pytest.raises(InputError, match="must be 0 < from < to"):
         trade(**keys).check()
+
+
+def test_the_least_values_of_a_trade_are_allowed():
+    trade(steps=2, least_stars=1, least_availability=0.0).check()
+    trade(least_availability=1.0).check()
+    for keys in ({"steps": 1}, {"least_stars": 0}, {"least_availability": -1e-9}, {"least_availability": 1.001}):
+        with pytest.raises(InputError, match="must be"):
+            trade(**keys).check()
+
+
+def test_a_narrow_field_and_a_rolling_shutter():
+    """A field of half a degree: 32 pixels on either side are tan 0.25° of the focal length."""
+    pitch_mm = SCENARIO.detector.pitch_um[0] * 1e-3
+    narrow = changed(SCENARIO, "field", 0.5).optics.focal_length_mm
+    assert narrow == pytest.approx(32.0 * pitch_mm / math.tan(math.radians(0.25)), rel=1e-12)
+    assert "rolling shutter" not in left_out(SCENARIO)
+    assert "rolling shutter" in left_out(
+        SCENARIO.changed({"detector.shutter": "rolling", "detector.line_time_us": 20.0})
+    )
 
 
 # ---------------------------------------------------------------- verification
