@@ -41,6 +41,26 @@ def test_all_electrons_are_drawn(psf, radius, fraction):
     assert (image >= 0.0).all()
 
 
+def test_a_body_that_enters_the_image_is_drawn_from_then_on():
+    """Three of four moments count where the first is far outside or has no position; nothing where all are."""
+    disk, weights = LitDisk(5.0, 5.0, 1.0, 0.0), np.array([0.4, 0.3, 0.2, 0.1])
+    path = np.array([[0.0, 0.0], [20.0, 30.0], [25.0, 30.0], [30.0, 30.0]])
+    expected = np.zeros((60, 60))
+    draw_body(expected, path[1:], weights[1:], 1e6, disk, GAUSSIAN)
+    assert expected.sum() == pytest.approx(0.6e6, rel=1e-3)
+    for outside in ([-4000.0, 30.0], [30.0, 5000.0], [math.nan, 30.0]):
+        path[0] = outside
+        image = np.zeros((60, 60))
+        draw_body(image, path, weights, 1e6, disk, GAUSSIAN)
+        np.testing.assert_allclose(image, expected, rtol=1e-12, atol=1e-9)
+        nothing = np.zeros((60, 60))
+        draw_body(nothing, path[:1], weights[:1], 1e6, disk, GAUSSIAN)
+        assert not nothing.any()
+    for no_light, unlit in ((0.0, disk), (1e6, disk._replace(illuminated_fraction=0.0))):
+        draw_body(nothing, path[1:], weights[1:], no_light, unlit, GAUSSIAN)
+        assert not nothing.any()
+
+
 def integral(law, cosine, samples=16, radius=150.0):
     """Mean brightness law over the disk by the kernel, from its brightest possible value 1 at the sub-solar point."""
     image = np.zeros((320, 320))

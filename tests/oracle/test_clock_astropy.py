@@ -36,6 +36,21 @@ def test_agrees_with_astropy(epoch, t_s):
     assert clock.jyear(t_s) == pytest.approx(expected.tt.jyear, abs=1e-12)
 
 
+@pytest.mark.parametrize("scale", ["utc", "tai", "tdb"])
+@pytest.mark.parametrize("epoch", EPOCHS[:2])
+def test_seconds_of_an_astropy_time(epoch, scale):
+    """A time has two parts of its Julian date, divided in any way."""
+    clock, start = Clock(epoch), Time(epoch.replace(tzinfo=None), scale="utc")
+    for t_s in (0.0, 0.25, 40_000.0, -40_000.0, 3e6):
+        time = getattr(start + TimeDelta(t_s, format="sec", scale="tai"), scale)
+        assert clock.elapsed_s(time) == pytest.approx(t_s, abs=1e-6)
+    uneven = Time(2_461_120.0, 5.3125, format="jd", scale="tt")
+    jd1, jd2 = clock.tt_jd(0.0)
+    expected = ((2_461_120.0 - jd1) + (5.3125 - jd2)) * 86_400.0
+    assert clock.elapsed_s(uneven) == pytest.approx(expected, abs=1e-5)
+    assert clock.elapsed_s(12.5) == 12.5
+
+
 @pytest.mark.filterwarnings("ignore:.*dubious year")  # after the table of leap seconds, as both take it
 @pytest.mark.parametrize("epoch", EPOCHS[:3])
 def test_labels_are_those_of_astropy_at_any_time(epoch):

@@ -6,13 +6,16 @@ add is told where it is compared. The local level is set up here from position a
 rotation vector, exactly.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from simulator import Scenario
 from simulator.mission.clock import Clock
-from simulator.mission.motion import motion, rate_profile
+from simulator.mission.motion import RateProfile, motion, rate_profile
 from simulator.mission.orbit import build_orbit
 from simulator.mission.pointing import hold, point
 from simulator.randomness import stream
@@ -67,6 +70,27 @@ def test_path_against_small_rotations():
         expected = mounting * turned * at_start * level(orbit, k * 0.7)
         # a corner of the rate within a step of h = 0.35 ms costs h²/8 times the change of slope, 0.08 rad/s²: 1e-9 rad
         assert rotation_error(states[k].camera, expected) < 3e-9
+
+
+@pytest.mark.parametrize("start_s", [0.0, 12.0])
+def test_a_turn_of_a_changing_axis_against_an_integration(start_s):
+    """30°/s about x that becomes 40°/s about y and then stands still, over seven half turns: dS/dt = −[ω×] S by SciPy's
+    DOP853 to 1e-12."""
+    t_s = np.array([0.0, 20.0, 40.0, 45.0])
+    rates = np.radians([[30.0, 0.0, 5.0], [0.0, 40.0, 0.0], [10.0, 0.0, -20.0], [0.0, 0.0, 0.0]])
+    profile = RateProfile(t_s, rates)
+
+    def slope(t, matrix):
+        x, y, z = profile.at(t)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return (-cross @ matrix.reshape(3, 3)).ravel()
+
+    expected = np.eye(3).ravel()
+    corners = [start_s, *t_s[t_s > start_s]]
+    for low, high in pairwise(corners):
+        expected = solve_ivp(slope, (low, high), expected, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    found = profile.turn(start_s, 45.0).as_matrix()
+    assert found == pytest.approx(expected.reshape(3, 3), abs=3e-9)
 
 
 @pytest.mark.parametrize("target", [None, (80.0, 5.0, 30.0)])

@@ -54,6 +54,28 @@ def test_defocus_on_the_axis(edge_waves):
     assert axis == pytest.approx(np.sinc(edge_waves) ** 2, abs=1e-10)
 
 
+@pytest.mark.parametrize("hole", [0.0, 0.3, 0.6])
+def test_mean_slopes_over_an_annulus(hole):
+    """Of W = c √8 (3ρ² − 2) x the mean of ∂W/∂x is c √8 (1 + 3ε²), as ⟨ρ²⟩ = (1 + ε²)/2 and ⟨x²⟩ half of it; of a tilt
+    c 2x it is 2c; of all that is even or has a higher symmetry it is 0."""
+    coefficients = np.zeros((11, 11))
+    np.fill_diagonal(coefficients, 0.1)
+    found = pupil.mean_slope(coefficients, hole)
+    expected = np.zeros((11, 2))
+    expected[[1, 2], [0, 1]] = 0.1 * 2.0
+    coma = 0.1 * np.sqrt(8.0) * (1.0 + 3.0 * hole**2)
+    expected[NOLL["coma_x"] - 1, 0] = expected[NOLL["coma_y"] - 1, 1] = coma
+    np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize(("name", "radius"), [("defocus", 8.0 * np.sqrt(3.0)), ("astigmatism", 4.0 * np.sqrt(6.0))])
+def test_geometric_radius_is_twice_the_steepest_slope(name, radius):
+    """At the edge, where ∂W/∂ρ of √3 (2ρ² − 1) is 4√3, and of √6 ρ² cos 2θ 2√6; the nodes end 1 % before it."""
+    coefficients = np.zeros((2, 11))
+    coefficients[:, NOLL[name] - 1] = 0.05, 0.2
+    assert pupil.geometric_radius(coefficients) == pytest.approx(0.2 * radius, rel=0.02)
+
+
 def test_zernike_polynomials():
     """Noll's table: order of the first, and an orthonormal set."""
     orders = [(0, 0), (1, 1), (1, -1), (2, 0), (2, -2), (2, 2), (3, -1), (3, 1), (3, -3), (3, 3), (4, 0)]

@@ -11,7 +11,8 @@ from scipy.integrate import dblquad, quad
 from scipy.special import j1
 
 from simulator.optics import airy
-from simulator.optics.psf import MIN_LAMBDA_N_PX, build_psf
+from simulator.optics.lens import Lens
+from simulator.optics.psf import MIN_LAMBDA_N_PX, PSFS, build_psf
 from simulator.optics.psf_model import PsfModel
 from simulator.optics.splat import render_stars
 
@@ -80,6 +81,17 @@ def test_encircled_energy_is_the_integral_of_the_pattern(x):
     exact = quad(lambda r: np.pi / 4 * (2 * j1(np.pi * r) / (np.pi * r)) ** 2 * 2 * np.pi * r, 0, x)[0]
     assert airy.encircled_energy(x) == pytest.approx(exact, abs=1e-9)
     assert airy.encircled_energy(airy.FIRST_RING) == pytest.approx(0.8378, abs=5e-5)
+
+
+@pytest.mark.parametrize("pitch_um", [(13.75, 16.0), (16.0, 13.75), (5.5, 5.5)])
+@pytest.mark.parametrize("contrast", [0.0, 0.3])
+def test_a_gaussian_is_round_on_the_detector_and_its_finest_structure_is_along_the_longer_pitch(pitch_um, contrast):
+    """One width in µm, with the spreading of charge, and so σ in pixels of either pitch."""
+    psf = PSFS["gaussian"](PsfModel(sigma_px=0.8), Lens(2.0, pitch_um, diffusion_um=6.0, contrast=contrast))
+    sigma_um = np.hypot(0.8 * pitch_um[0], 6.0)
+    expected = sigma_um / pitch_um[0], sigma_um / pitch_um[1]
+    assert (psf.sigma_px, psf.sigma_y_px) == pytest.approx(expected, rel=1e-12)
+    assert psf.feature_px == pytest.approx(min(expected), rel=1e-12)
 
 
 def test_diffraction_sets_the_ring_where_nothing_else_does():

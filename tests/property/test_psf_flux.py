@@ -3,6 +3,7 @@
 import functools
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -122,3 +123,20 @@ def test_disk_keeps_its_flux(x, y, radius, aspect):
     add_disk(image, (x, y), (radius, radius * aspect), 1000.0)
     assert abs(image.sum() - 1000.0) < 1e-7
     assert image.min() > -1e-9
+
+
+@pytest.mark.parametrize("radius", [0.4, 6.0, (9.0, 3.5), 80.0])
+@pytest.mark.parametrize("x", [-3.0, -0.5, 20.25, 63.5, 66.0])
+@pytest.mark.parametrize("y", [-3.0, -0.5, 30.5, 47.5, 50.0])
+def test_a_disk_across_the_border_is_a_window_of_the_whole(x, y, radius):
+    small, large = np.zeros((48, 64)), np.zeros((148, 164))
+    add_disk(small, (x, y), radius, 1000.0)
+    add_disk(large, (x + 50.0, y + 50.0), radius, 1000.0)
+    np.testing.assert_allclose(small, large[50:98, 50:114], rtol=0, atol=1e-11)
+
+
+def test_a_disk_outside_or_without_a_position_is_not_drawn():
+    image = np.zeros((48, 64))
+    for xy in ((-9.0, 20.0), (20.0, 56.0), (72.0, 20.0), (20.0, -9.0), (np.nan, 20.0), (20.0, np.inf)):
+        add_disk(image, xy, 8.4, 1000.0)
+    assert not image.any()

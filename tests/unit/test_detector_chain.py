@@ -193,6 +193,42 @@ def test_order_of_the_effects():
     ]
 
 
+WEAK = {
+    "intensifier": {"intensifier": {"gain": 0.5}},
+    "dark_signal": {"dark_current_e_s": 0.01},
+    "random_telegraph": {"telegraph": {"pixel_fraction": 0.01, "dark_e_s": 0.5}},
+    "shot_noise": {"shot_noise": True},
+    "cosmic_rays": {"cosmic_rays": {"rate_cm2_s": 0.3}},
+    "charge_transfer": {"cti_serial": 1e-6},
+    "reset_noise": {"reset_capacitance_ff": 0.01},
+    "read_noise": {"read_noise_e": 0.3},
+    "nonlinearity": {"nonlinearity": (0.0, 1e-3)},
+    "video": {"video": {"line_blur_px": 0.4}},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        *WEAK.items(),
+        ("charge_transfer", {"cti_parallel": 1e-6}),
+        ("nonlinearity", {"nonlinearity": (1e-3, 0.0)}),
+        ("video", {"video": {"noise_dn": 0.4}}),
+        ("dark_signal", {"hot_columns": 1, "hot_column_dark_e_s": 0.5}),
+        ("dark_signal", {"displacement": {"interactions_per_pixel": 0.01, "dark_e_s": 0.5}}),
+        ("photo_response", {"prnu": 1e-3}),
+        ("photo_response", {"dead_columns": 1}),
+        ("adc", {"adc_bits": 1, "gain_e_per_dn": 1.0}),
+    ],
+)
+def test_an_effect_is_on_however_weak_it_is(name, keys):
+    """A detector with one effect has that and what every detector has, so that nothing else takes time."""
+    chosen = noiseless(**keys)
+    parameters, pattern = detector_parameters(chosen), build_fixed_pattern(chosen, 1)
+    on = {effect.name for effect in (*CHARGE, *READOUT) if effect.on(parameters, pattern)}
+    assert on == {"full_well", "gain_offset", name}
+
+
 @pytest.mark.parametrize("more", [{}, {"antiblooming": 0.5}])
 @pytest.mark.parametrize("keep_charge", [False, True])
 def test_a_detector_made_ready_reads_frame_after_frame(mean, more, keep_charge):

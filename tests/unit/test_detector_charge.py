@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from simulator.detector.blooming import bloom, full_well
 from simulator.detector.cosmic_rays import add_tracks
@@ -119,6 +120,18 @@ def test_one_packet_keeps_its_share():
     assert moved.sum() == pytest.approx(1e4, rel=1e-12)
     assert not moved[:900].any()
     assert len(late_shares(1024, cti)) < 10
+
+
+@pytest.mark.parametrize("cti", [0.4, 0.02])
+def test_late_shares_are_negative_binomial(cti):
+    """The delay of a packet of p + 1 transfers: SciPy's distribution, at both ends and in the middle. With an
+    inefficiency of 0.4 the first shares of the last pixel are below 1e-100, far from its most likely delay of 400."""
+    shares = late_shares(600, cti)
+    delays, transfers = np.arange(len(shares))[:, None], np.array([1, 300, 600])
+    expected = stats.nbinom.pmf(delays, transfers, 1.0 - cti)
+    np.testing.assert_allclose(shares[:, transfers - 1], expected, rtol=1e-9, atol=1e-30)
+    # the rest would come later than the last pixel, or falls below the truncation of 1e-17
+    assert shares[:, -1].sum() == pytest.approx(stats.nbinom.cdf(599, 600, 1.0 - cti), rel=1e-12)
 
 
 def test_the_corner_says_where_charge_goes():

@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from simulator.build import detector_parameters
+from simulator.detector.excess_noise import bunch_e, excess_noise_factor, signal_gain
+from simulator.detector.parameters import CosmicRays, DetectorParameters, Intensifier, RandomTelegraph
+from simulator.environment.coefficients import coefficient
 from simulator.randomness import stream
 from simulator.scenario.detector_rules import contradictions
 from simulator.scenario.schema import DetectorSection
@@ -21,6 +25,42 @@ def test_a_device_without_defects_has_an_empty_map():
     assert pattern.hot is None
     assert pattern.bad_pixels((100, 200)).shape == (100, 200)
     assert not pattern.bad_pixels((100, 200)).any()
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"hot_columns": 2},
+        {"hot_column_dark_e_s": 300.0},
+        {"hot_pixel_fraction": 0.1},
+        {"hot_pixel_dark_e_s": 300.0},
+        {"hot_columns": 2, "hot_pixel_dark_e_s": 300.0},
+        {"telegraph": {"pixel_fraction": 0.1}},
+        {"telegraph": {"dark_e_s": 300.0}},
+        {"displacement": {"interactions_per_pixel": 0.1}},
+        {"displacement": {"dark_e_s": 300.0}},
+    ],
+)
+def test_defects_need_both_a_number_and_a_current(keys):
+    pattern = build_fixed_pattern(section(**keys), 1)
+    assert (pattern.prnu, pattern.dark_e_s) == (1.0, 0.0)
+    assert pattern.hot is pattern.dead is pattern.telegraph is None
+
+
+def test_a_device_by_default_is_that_of_a_scenario():
+    """A section without optional keys and parameters without them are one detector; its kinds of particles and defects
+    have the figures of their sources (`docs/detector.md`), so that giving a rate or a share is enough."""
+    size = {"width": 200, "height": 100}
+    assert detector_parameters(section(**size)) == DetectorParameters(**size, pitch_um=(5.0, 5.0))
+    rays, telegraph = CosmicRays(rate_cm2_s=1.0), RandomTelegraph(pixel_fraction=0.1)
+    assert (rays.depth_um, rays.charge_e_um) == (10.0, 80.0)
+    assert telegraph.low_s == coefficient("telegraph_low_time")
+    assert telegraph.high_s == coefficient("telegraph_high_time")
+    # a microchannel plate, with exponentially distributed gains: F² = 2 + 1/⟨g⟩ (Bell 1975)
+    plate = DetectorParameters(**size, pitch_um=(5.0, 5.0), intensifier=Intensifier(gain=100.0))
+    assert excess_noise_factor(plate) == pytest.approx(2.01, rel=1e-12)
+    assert signal_gain(plate) == 100.0
+    assert bunch_e(plate) == pytest.approx(201.0, rel=1e-12)
 
 
 def test_dead_pixels_read_the_offset():

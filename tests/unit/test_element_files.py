@@ -145,6 +145,26 @@ def test_two_line_elements_that_cannot_be_read(text, message, tmp_path):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("line", "first", "end"),
+    [(0, 18, 20), (0, 20, 32), (1, 8, 16), (1, 17, 25), (1, 34, 42), (1, 43, 51), (1, 52, 63)],
+)
+def test_fields_of_two_line_elements_that_are_blank_or_no_numbers(line, first, end, tmp_path):
+    """Year and day of the epoch, inclination, node, perigee, anomaly and mean motion: a blank one is not the next."""
+    for filler in (" " * (end - first), "x" * (end - first)):
+        lines = [LINE_1, LINE_2]
+        lines[line] = checked(lines[line][:first] + filler + lines[line][end:])
+        with pytest.raises(InputError, match=r"tle:[12]: ") as error:
+            states(written(tmp_path, "\n".join(lines) + "\n"))
+        assert "\n" not in str(error.value)
+
+
+def test_both_lines_are_of_one_object(tmp_path):
+    other = checked(LINE_2.replace("25544", "25545"))
+    with pytest.raises(InputError, match="lines 1 and 2 are of the objects 25544 and 25545"):
+        states(written(tmp_path, f"{LINE_1}\n{other}\n"))
+
+
 @pytest.mark.parametrize("form", ["kvn", "xml", "ndm"])
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("epoch", ["2024-03-27T12:00:00.000", "2024-087T12:00:00.000Z", "2024-087T12:00:00"])

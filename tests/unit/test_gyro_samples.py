@@ -68,3 +68,14 @@ def test_scale_factors_are_constant_and_proportional():
     assert scales.std() == pytest.approx(0.005, rel=4.0 / math.sqrt(2.0 * 900))
     for run in runs[:5]:
         assert run.rates_rad_s == pytest.approx((1.0 + run.scale) * TURNS[:2] / 0.2, rel=1e-12)
+
+
+def test_white_noise_and_the_varying_bias_are_independent():
+    """Of 4,000 steps of three axes: correlations within 4/√N. The bias changes by its own deviates."""
+    found = samples(angle_random_walk_deg_sqrt_h=0.3, bias_instability_deg_h=30.0, bias_time_s=0.2)
+    white = found.rates_rad_s - TURNS / 0.2 - 0.5 * (found.biases_rad_s[1:] + found.biases_rad_s[:-1])
+    decay = math.exp(-1.0)
+    driving = found.biases_rad_s[1:] - decay * found.biases_rad_s[:-1]
+    correlation = np.mean(white * driving) / (white.std() * driving.std())
+    assert abs(correlation) < 4.0 / math.sqrt(white.size)
+    assert abs(np.corrcoef(white.T) - np.eye(3)).max() < 4.0 / math.sqrt(len(white))

@@ -9,7 +9,7 @@ import pytest
 from simulator.checks import load_scenario
 from simulator.mission.attitude_law import AttitudeLaw, law_attitude
 from simulator.mission.attitudes import build_attitude_law
-from simulator.mission.parameters import AttitudeSource, OrbitParameters, PointingParameters
+from simulator.mission.parameters import AttitudeSource, OrbitParameters, PointingParameters, Waypoint, Waypoints
 from simulator.mission.trajectories import build_trajectory
 from simulator.renderer import Renderer
 from simulator.scenario.errors import ScenarioError
@@ -54,6 +54,19 @@ def law_of(tmp_path, kind, text, **others):
     path = tmp_path / f"craft.{kind}"
     path.write_text(text)
     return build_attitude_law(PointingParameters(attitude=AttitudeSource(**{kind: str(path)}, **others)), ORBIT)
+
+
+def test_two_laws_contradict_each_other(tmp_path):
+    """Without the checks of a scenario too; none and one are laws."""
+    path = tmp_path / "craft.csv"
+    path.write_text(CSV)
+    table, slew = AttitudeSource(csv=str(path)), Waypoints(points=(Waypoint(0.0, 10.0, 20.0),))
+    assert build_attitude_law(PointingParameters(), ORBIT) is None
+    assert build_attitude_law(PointingParameters(waypoints=slew), ORBIT) is not None
+    with pytest.raises(InputError, match="both define the attitude; remove one of them") as caught:
+        build_attitude_law(PointingParameters(attitude=table, waypoints=slew), ORBIT)
+    assert "attitude" in str(caught.value)
+    assert "waypoints" in str(caught.value)
 
 
 @pytest.mark.parametrize(("kind", "text"), [("aem", AEM), ("csv", CSV)])

@@ -2,19 +2,31 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from simulator.build import build_scenes
+from simulator.build import build_focal_plane, build_scenes
 from simulator.checks import load_scenario
 from simulator.constants import EARTH_RADIUS_KM
+from simulator.optics.illumination import star_illumination
 from simulator.randomness import stream
 from simulator.sky.earth import occulted
-from simulator.study.coverage.boresights import Exclusion, along_path, sky_grid, whole_sky
+from simulator.study.coverage import sensitivity
+from simulator.study.coverage.boresights import (
+    Exclusion,
+    along_path,
+    everything_excluded,
+    exclusion_of,
+    sky_grid,
+    whole_sky,
+)
 from simulator.study.coverage.field_counts import accumulate_information, circle, outline, solid_angle_sr
 from simulator.study.coverage.maps import coverage_figures
+from simulator.study.coverage.prediction import predict
+from simulator.study.coverage.sensitivity import build_sensitivity, nominal_rate_rad_s
 from simulator.study.coverage.survey import count_stars, coverage
 from simulator.study.result_files import write_study
 from startracker.catalog import load_catalog
@@ -108,6 +120,186 @@ def test_the_path_is_that_of_the_trials(overrides):
         scene = scenes.scene(index, lambda stage, i=index: stream(scenario.seed, stage, i), 0.01, 0.1)
         assert looks.t_s[index] == scene.t_s
         assert looks.matrices[index] == pytest.approx(scene.pointing.camera.as_matrix(), abs=1e-10)
+
+
+def test_random_attitudes_have_a_path_where_they_hold_a_target():
+    scenario = load_scenario("cubesat_ideal", ["study.sampling=sky", "pointing.target=[83.8, -5.4, 30]"])
+    looks = along_path(scenario, 3)
+    assert looks.ra_deg == pytest.approx(np.full(3, 83.8), abs=1e-9)
+    assert looks.dec_deg == pytest.approx(np.full(3, -5.4), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        ["study.sampling=orbit"],
+        ["study.sampling=orbit", "pointing.mounting=zenith", "pointing.offset_deg=[3, -20, 5]"],
+        ["study.sampling=orbit", "pointing.rate_deg_s=[0.1, -0.2, 0.3]"],
+        ["pointing.target=[83.8, -5.4, 30]", "pointing.rate_deg_s=[0.1, -0.2, 0.3]"],
+    ],
+)
+def test_the_nominal_rate_is_that_of_the_scenes(keys):
+    """In camera axes, without the pointing error; the orbit's rate is about the body's negative pitch axis."""
+    scenario = load_scenario("cubesat_ideal", ["pointing.error_deg=0", "sky.magnitude_limit=3", *keys])
+    scene = build_scenes(scenario).scene(0, lambda stage: stream(scenario.seed, stage, 0), 0.01, 0.1)
+    expected = scene.pointing.rate_camera_rad_s
+    # the period is the mean one, from node to node
+    assert nominal_rate_rad_s(scenario) == pytest.approx(expected, abs=3e-3 * np.linalg.norm(expected) + 1e-15)
+    assert np.linalg.norm(expected) > 0.0
+
+
+def test_a_prediction_is_for_the_camera_and_stars_of_the_scenario_alone():
+    scenario = load_scenario("cubesat_ideal", ["specification.yaw_deg=1"])
+    own = coverage(scenario, 20)
+    assert own.judgement is not None
+    assert own.left_out
+    for given in ({"magnitude_limit": 5.0}, {"snr": 7.0}, {"circle_deg": 8.0}):
+        other = coverage(scenario, 20, **given)
+        assert other.judgement is None
+        assert other.left_out == ()
+        assert other.summary()["verdict"] is None
+
+
+@pytest.mark.parametrize(("least", "wanted"), [(1, 2), (2, 2), (3, 3), (7, 7)])
+def test_an_attitude_needs_two_stars_or_as_many_as_asked_for(least, wanted):
+    scenario = load_scenario("cubesat_ideal", ["tracker.magnitude_limit=4.5"])
+    looks = whole_sky(60, scenario=scenario, exclusion=Exclusion(sun_deg=50.0))
+    found = predict(scenario, looks, least)
+    assert {1, 2, 3} <= set(found.counts.tolist())
+    assert len(found.evidence.covariance_rad2) == np.sum((found.counts >= wanted) & looks.allowed)
+    assert found.evidence.attitudes == looks.allowed.sum() < 60
+
+
+@pytest.mark.parametrize("exposure_s", [0.05, 0.4])
+def test_a_pixel_without_a_star_has_the_sky_and_the_dark_current_of_its_exposure(exposure_s):
+    """75 S10 everywhere; 8 e⁻/s at the reference temperature; noise of both and of the readout."""
+    keys = [f"detector.exposure_s={exposure_s}", "sky.background_s10=75", "detector.dark_current_e_s=8"]
+    keys += ["detector.temperature_c=25", "detector.dark_reference_c=25", "detector.read_noise_e=3", "detector.prnu=0"]
+    keys += ["detector.dsnu=0", "detector.adc_bits=16", "detector.full_well_e=20000", "detector.offset_dn=100"]
+    scenario = load_scenario("cubesat_ideal", [*keys, "detector.gain_e_per_dn=0.25"])
+    found, plane = build_sensitivity(scenario), build_focal_plane(scenario)
+    pixel = found.pixel
+    assert pixel.sky_e == pytest.approx(75.0 * plane.s10_e_s_pixel * exposure_s, rel=1e-9)
+    assert pixel.dark_e == pytest.approx(8.0 * exposure_s, rel=1e-9)
+    expected = math.sqrt(pixel.sky_e + pixel.dark_e + 9.0 + 0.25**2 / 12.0)
+    assert pixel.noise_e == pytest.approx(expected, rel=1e-3)
+    assert pixel.top_e == pytest.approx((65535 - 100) * 0.25)  # below the full well
+    higher = build_sensitivity(scenario.changed({"detector.gain_e_per_dn": 1.0})).pixel
+    assert higher.top_e == 20_000.0
+
+
+def test_the_illumination_of_a_field_is_its_mean():
+    """Of cos θ of stars across a field of 60°: a plain mean over 200 × 150 points of the image; the grid of 16 × 16 is
+    good to 1e-3."""
+    keys = ["optics.focal_length_mm=6", "optics.aperture_mm=3", "optics.vignetting.natural=true"]
+    scenario = load_scenario("cubesat_ideal", [*keys, "optics.distortion={k1: 0}"])
+    plane = build_focal_plane(scenario)
+    camera = plane.camera
+    x, y = np.meshgrid((np.arange(200) + 0.5) / 200 * camera.width, (np.arange(150) + 0.5) / 150 * camera.height)
+    seen = camera.unproject(np.stack([x.ravel(), y.ravel()], axis=1) - 0.5)
+    mean = np.mean(star_illumination(plane.true_camera, plane.vignetting, seen))
+    assert mean < 0.97
+    found = build_sensitivity(scenario).gathered_s / scenario.detector.exposure_s
+    assert found == pytest.approx(mean, rel=1e-3)
+
+
+@pytest.mark.parametrize("pitch_um", [(5.0, 2.5), (2.5, 5.0), (5.0, 5.0)])
+def test_images_of_the_prediction_hold_the_light_of_a_star(pitch_um):
+    """Four standard deviations on either side along both axes: all but 2e-4 of it, also of a moving star."""
+    keys = [f"detector.pixel_pitch_um=[{pitch_um[0]}, {pitch_um[1]}]", "optics.psf.sigma_px=1.6"]
+    scenario = load_scenario("cubesat_ideal", [*keys, "optics.psf.model=gaussian"])
+    plane = build_focal_plane(scenario)
+    for rate in (np.zeros(3), np.array([0.01, -0.02, 0.1])):
+        images, along_x, along_y = sensitivity._images(plane, rate, 0.2)
+        assert images.sum(axis=(1, 2)) == pytest.approx(np.ones(16), abs=2e-4)
+        assert along_x.shape == along_y.shape == images.shape
+
+
+def test_streaks_by_a_roll_have_their_rms_length_over_the_field():
+    """Second moments of the images: those of the Gaussian and the pixel, and L²/12 of streaks L = r θ about the middle,
+    with ⟨r²⟩ = (w² + h²)/12; 0.5 % of an arc of 0.04 rad and of the light beyond 4 σ."""
+    keys = ["optics.psf.sigma_px=1.2", "optics.psf.model=gaussian", "optics.distortion={k1: 0}"]
+    keys += ["detector.width=1024", "detector.height=768", "optics.focal_length_mm=200", "optics.aperture_mm=100"]
+    plane = build_focal_plane(load_scenario("cubesat_ideal", keys))
+    images, _, _ = sensitivity._images(plane, np.array([0.0, 0.0, 0.2]), 0.2)
+    at = np.arange(images.shape[1]) - images.shape[1] // 2
+    total = images.sum(axis=(1, 2))
+    moments = []
+    for axis in (1, 2):
+        line = images.sum(axis=axis) / total[:, None]
+        mean = line @ at
+        moments.append(line @ at**2 - mean**2)
+    length2 = 0.04**2 * (1024**2 + 768**2) / 12.0
+    assert np.mean(sum(moments)) == pytest.approx(2.0 * (1.2**2 + 1.0 / 12.0) + length2 / 12.0, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("keys", "given", "angles", "sources"),
+    [
+        ([], None, (0.0, 0.0, 0.0), {}),
+        (["optics.baffle.sun_exclusion_deg=50"], None, (0.0, 0.0, 0.0), {}),  # there is no baffle
+        (
+            ["optics.baffle.pst=vane", "optics.baffle.sun_exclusion_deg=50"],
+            None,
+            (50.0, 20.0, 25.0),
+            {"sun": ", as set", "moon": ", the default", "earth": ", the default"},
+        ),
+        (
+            ["optics.baffle.pst=vane", "specification.sun_exclusion_deg=45"],
+            {"earth": 5.0, "sun": None, "moon": 0.0},
+            (45.0, 0.0, 5.0),
+            {"sun": "specification.sun_exclusion_deg", "earth": "--earth-deg"},
+        ),
+    ],
+)
+def test_exclusion_angles_are_those_given_then_specified_then_of_the_baffle(keys, given, angles, sources):
+    found = exclusion_of(load_scenario("cubesat_ideal", keys), given)
+    assert (found.sun_deg, found.moon_deg, found.earth_deg) == angles
+    assert set(found.sources) == set(sources)
+    for body, source in sources.items():
+        assert found.sources[body].endswith(source)
+
+
+def test_a_summary_is_of_what_was_asked_for():
+    scenario = load_scenario("cubesat_ideal", ["study.sampling=orbit"])
+    path, sky = (coverage(scenario, 40, path=path, rolls=2, magnitude_limit=5.0) for path in (True, False))
+    assert (path.boresights.kind, len(path.boresights), path.boresights.rolls) == ("path", 40, 1)
+    assert (sky.boresights.kind, len(sky.boresights), sky.boresights.rolls) == ("sky", 80, 2)
+    for result, over in ((path, "time along the mission's path"), (sky, "the whole sky")):
+        told, counts = result.summary(), np.sort(result.counts)
+        assert (told["over"], told["attitudes"], told["magnitude_limit"]) == (over, len(counts), 5.0)
+        assert told["magnitude_limit_from"] == "given"
+        stars = told["stars"]
+        assert (stars["min"], stars["max"]) == (counts[0], counts[-1])
+        assert stars["mean"] == pytest.approx(counts.mean())
+        assert stars["std"] == pytest.approx(math.sqrt(np.sum((counts - counts.mean()) ** 2) / (len(counts) - 1)))
+        # the smallest count that is not exceeded by p % of the attitudes
+        expected = {
+            f"p{p:g}": counts[max(math.ceil(p / 100.0 * len(counts)) - 1, 0)]
+            for p in (0.1, 1.0, 5.0, 25.0, 50.0, 75.0, 95.0, 99.0)
+        }
+        assert stars["percentiles"] == expected
+        assert told["field_deg2"] == pytest.approx(math.degrees(1.0) ** 2 * told["field_sr"])
+        evenly = told["stars_over_sky"] * told["field_sr"] / (4.0 * math.pi)
+        assert told["stars_if_spread_evenly"] == pytest.approx(evenly)
+        assert told["poorest_attitudes"] == np.sum(counts == counts[0])
+        assert [told["availability"][str(k)] for k in (1, 12)] == [np.mean(counts >= 1), np.mean(counts >= 12)]
+        for name in ("availability", "availability_where_allowed"):  # nothing is excluded
+            assert told[name] == {str(k): np.mean(counts >= k) for k in range(1, 13)}, name
+        limits = [point["magnitude_limit"] for point in told["magnitude_curve"]]
+        assert limits == pytest.approx(np.arange(2.0, 6.01, 0.25))
+        assert [point["mean"] for point in told["magnitude_curve"]] == sorted(
+            point["mean"] for point in told["magnitude_curve"]
+        )
+
+
+def test_what_excludes_everything_is_said():
+    alone = SimpleNamespace(excluded={"sun": np.ones(4, bool), "moon": np.array([True, False, False, False])})
+    angles = Exclusion(sources={"sun": "--sun-deg", "moon": "--moon-deg"})
+    assert everything_excluded(alone, angles) == "everything is excluded by --sun-deg"
+    half = np.array([True, True, False, False])
+    both = SimpleNamespace(excluded={"sun": half, "earth": ~half})
+    assert everything_excluded(both, angles) == "everything is excluded by --sun-deg and earth"
 
 
 def test_exclusion_is_that_of_the_bodies_places():

@@ -85,6 +85,8 @@ def test_exclusion_angles():
     names = np.array(["Sun", "Moon", "Earth", "Earth"])
     directions = np.concatenate([at(34.0), at(21.0), at(40.0), at(24.0)])
     assert baffle.within_exclusion(names, Z, directions) == ["Earth", "Sun"]
+    # a planet has no exclusion angle, not even on the boresight
+    assert baffle.within_exclusion(["Jupiter", "Moon"], Z, np.concatenate([at(0.0), at(19.9)])) == ["Moon"]
 
 
 def test_scenario_takes_a_baffle(tmp_path):

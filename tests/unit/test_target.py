@@ -1,11 +1,13 @@
 """Holding a target: a direction, a star by any of its names, a body; and where it falls in the image."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from simulator import Renderer, Scenario
 from simulator.mission.parameters import PointingParameters
-from simulator.sky.target import attitude_towards, find_target
+from simulator.sky.target import attitude_towards, body_direction, find_target
 from startracker import InputError, load_catalog
 from startracker.geometry.attitude import radec_to_direction
 
@@ -18,6 +20,48 @@ def test_names_of_stars_and_bodies():
     assert find_target(" moon", bright) == "Moon"
     with pytest.raises(InputError, match="neither a body"):
         find_target("Nibiru", bright)
+
+
+@pytest.mark.parametrize(
+    ("catalogue", "number", "other"), [("hipparcos", 32349, "HR 2491"), ("bsc5", 2491, "HIP 32349")]
+)
+def test_a_star_by_its_proper_name_and_by_the_number_of_its_own_catalogue(catalogue, number, other):
+    stars = load_catalog(catalogue).brighter_than(3.0)
+    prefix = {"hipparcos": "HIP", "bsc5": "hr"}[catalogue]
+    for name in ("Sirius", " s i r i u s", "Alp CMa", f"{prefix} {number}", f"{number}"):
+        assert stars.id[find_target(name, stars)] == number, name
+    with pytest.raises(InputError, match="neither a body"):
+        find_target(other, stars)
+
+
+def test_a_bright_star_that_hipparcos_lacks_has_a_negative_number():
+    stars = load_catalog("hipparcos").brighter_than(7.0)
+    lacking = int(stars.id[stars.id < 0][0])
+    assert stars.id[find_target(str(lacking), stars)] == lacking
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("Sirus", "did you mean 'Sirius'"),
+        ("Jupitr", "did you mean 'Jupiter'"),
+        ("Alp Orii", "did you mean 'Alp Ori'"),
+        ("qqq", "write a name such as Sirius"),
+        ("-", "write a name such as Sirius"),
+    ],
+)
+def test_a_name_that_is_not_known_gets_the_closest_one(name, hint):
+    with pytest.raises(InputError, match=hint):
+        find_target(name, load_catalog("hipparcos").brighter_than(3.0))
+
+
+def test_a_body_that_is_not_rendered():
+    bodies = SimpleNamespace(name=np.array(["Sun", "Moon"]), direction=np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+    assert body_direction("Moon", bodies).tolist() == [0.0, 1.0, 0.0]
+    with pytest.raises(InputError, match=r"Mars is not rendered; set sky.planets: true$"):
+        body_direction("Mars", bodies)
+    with pytest.raises(InputError, match=r"Earth is not rendered; set sky.planets: true and sky.earth: true \(within"):
+        body_direction("Earth", bodies)
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (2.0, -1.5), (-20.0, 30.0)])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import threading
+import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -37,6 +38,9 @@ TRIALS_PER_TASK = 50
 
 MOST_SCENARIOS = 3
 """Scenarios whose common data a process keeps."""
+
+_UNUSABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+"""Errors of a damaged file, which is computed again."""
 
 _local = threading.local()
 
@@ -192,7 +196,8 @@ class TaskRunner:
     def _known(self, key: str) -> bool:
         """Whether the result is in memory or, read now, in the folder."""
         if key not in self._memory and self.folder is not None:
-            with contextlib.suppress(OSError, ValueError, KeyError), np.load(self.folder / f"{key}.npz") as stored:
+            path = self.folder / f"{key}.npz"
+            with contextlib.suppress(*_UNUSABLE), path.open("rb") as file, np.load(file) as stored:
                 self._memory[key] = {name: stored[name] for name in stored.files}
         return key in self._memory
 
