@@ -64,7 +64,7 @@ class StarTracker:
     camera : Camera or path
         Calibrated camera, or the name of its file, as for ``boresight solve --camera``.
     catalog : str or StarCatalog
-        Name (``hipparcos``, ``bsc5``) or a user-defined table.
+        Name (``hipparcos``, ``bsc5``, ``gaia``) or a user-defined table.
     magnitude_limit : float
         Magnitude limit of the guide stars, V; should be slightly fainter than the camera detects.
     detector, centroider, identifier, estimator : str

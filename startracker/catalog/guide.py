@@ -320,7 +320,8 @@ def _build(
             f"magnitude limit {magnitude_limit}: the catalogue {catalog.name} has {len(merged)} stars down to it; "
             f"give a fainter limit (its brightest star is V = {faintest:.2f})"
         )
-    merged = replace(merged, spectral_type=np.full(len(merged), ""))  # unused, and half of the database's memory
+    # Spectral types are unused, and half of the database's memory.
+    merged = replace(merged, spectral_type=np.full(len(merged), ""), source=catalog.provenance)
     half_diagonal, solid_angle = field_of(camera)
     directions = merged.directions(merged.epoch_jyear)
     pattern = ~close_pairs(directions, merged.v_mag, math.radians(close_deg), close_magnitude)

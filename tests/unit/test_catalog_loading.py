@@ -62,7 +62,7 @@ def cache_folder(tmp_path, monkeypatch):
 
 
 def test_unknown_name_lists_the_known():
-    with pytest.raises(InputError, match=r"'hiparcos' is not one of the catalogs: bsc5, hipparcos; did you mean"):
+    with pytest.raises(InputError, match=r"'hiparcos' is not one of the catalogs: bsc5, gaia, hipparcos; did you mean"):
         load_catalog("hiparcos")
 
 
