@@ -283,6 +283,7 @@ class TrackingSession:
             parity=camera.parity,
             times_ms=clock.times_ms(),
             camera=camera,
+            catalog=self.tracker.guide.catalog.provenance,
         )
 
     def _with_note(self, reason: str) -> str:
