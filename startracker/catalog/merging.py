@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from startracker.catalog.stars import StarCatalog
-from startracker.core import ARCSEC_RAD, FloatArray, IntArray
+from startracker.core import ARCSEC_RAD, MAS_RAD, FloatArray, IntArray
 from startracker.geometry.attitude import radec_to_direction
 
 _CERTAIN_ARCSEC = 0.3
@@ -26,16 +26,19 @@ _COMPANION_ARCSEC = 10.0
 _SAME_MOTION_ARCSEC = 0.15
 """Up to this difference of the positions, the proper motion is corrected by it: the errors of Hipparcos' positions and
 proper motions explain it. Beyond, an orbit or a photocentre may, and the proper motion is that of Hipparcos."""
+_USEFUL_MAS_YR = 1.0
 _BOTH_ARCSEC, _COMPANION_SIGMA_ARCSEC = 0.01, 0.06
 
 
-def merge_catalogs(deep: StarCatalog, bright: StarCatalog) -> StarCatalog:
+def merge_catalogs(deep: StarCatalog, bright: StarCatalog, positions_rad: float = 0.0) -> StarCatalog:
     """Stars of both catalogues, each once, at the epoch of `deep`.
 
     Stars are matched one to one by their positions at that epoch, with the space motion of `bright`, and by brightness.
 
-    - A star of both has the position of `deep`, and everything else of `bright`; its proper motion is corrected by the
-      difference of both positions divided by the years between the catalogues, if that is below 0.15″.
+    - A star of both has the position of `deep`, and everything else of `bright`. Its proper motion is that of `deep` if
+      known (not zero), otherwise that of `bright`, corrected by the difference of both positions divided by the years
+      between the catalogues, if that is below 0.15″. If the error of the positions of `deep` over these years is more
+      than 1 mas per year, the errors of Hipparcos' proper motions, all values are those of `bright`.
     - A star of `bright` alone is moved to the epoch of `deep`.
     - A star of `deep` alone within 10″ of a star of both is taken as its companion, with its proper motion and
       parallax, if its own proper motion is unknown (zero).
@@ -48,6 +51,8 @@ def merge_catalogs(deep: StarCatalog, bright: StarCatalog) -> StarCatalog:
         Accurate positions; V and B − V in the system of `bright`.
     bright : StarCatalog
         Complete for bright stars, with proper motions.
+    positions_rad : float
+        Error of the positions of `deep` at its epoch on one axis.
     """
     years = deep.epoch_jyear - bright.epoch_jyear
     moved = bright.at_epoch(deep.epoch_jyear)
@@ -57,7 +62,8 @@ def merge_catalogs(deep: StarCatalog, bright: StarCatalog) -> StarCatalog:
     alone = np.setdiff1d(np.arange(len(deep)), found[has])
     companion = _companions(rows, others, found, len(deep))
     columns = {column: getattr(moved, column).copy() for column in StarCatalog.columns()}
-    _take_positions(columns, deep, moved, found, years)
+    if positions_rad < _USEFUL_MAS_YR * MAS_RAD * abs(years):
+        _take_positions(columns, deep, moved, found, years)
     _separate_light(columns, deep, found, companion)
     added = {column: getattr(deep, column)[alone] for column in columns}
     _follow(added, columns, deep, alone, companion)
@@ -116,11 +122,14 @@ def _take_positions(
     north = deep.dec_rad[entry] - moved.dec_rad[has]
     apart = np.hypot(east, north) / ARCSEC_RAD
     same = apart < _SAME_MOTION_ARCSEC
+    known = (deep.pm_ra_rad_yr[entry] != 0.0) | (deep.pm_dec_rad_yr[entry] != 0.0)
     columns["ra_rad"][has], columns["dec_rad"][has] = deep.ra_rad[entry], deep.dec_rad[entry]
-    columns["pm_ra_rad_yr"][has] += np.where(same, east / years, 0.0)
-    columns["pm_dec_rad_yr"][has] += np.where(same, north / years, 0.0)
+    for name, off in (("pm_ra_rad_yr", east), ("pm_dec_rad_yr", north)):
+        corrected = columns[name][has] + np.where(same, off / years, 0.0)
+        columns[name][has] = np.where(known, getattr(deep, name)[entry], corrected)
     # A difference that is not proper motion continues to grow, by 10 years of the 25.
-    columns["star_sigma_rad"][has] = np.where(same, _BOTH_ARCSEC, 0.4 * apart) * ARCSEC_RAD
+    sigma = np.where(same, _BOTH_ARCSEC, 0.4 * apart) * ARCSEC_RAD
+    columns["star_sigma_rad"][has] = np.where(known, deep.star_sigma_rad[entry], sigma)
 
 
 def _separate_light(columns: dict[str, NDArray[Any]], deep: StarCatalog, found: IntArray, companion: IntArray) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from startracker.core import FloatArray
 
 _BIN_MAG = 0.5
+_FILES_SHOWN = 4
 
 
 class SourceFile(NamedTuple):
@@ -76,7 +77,9 @@ class CatalogSource:
         facts = [f"{self.stars:,} stars", f"epoch J{self.epoch_jyear:g}"]
         if np.isfinite(self.depth_v):
             facts.append(f"most at V = {self.depth_v:.2f}")
-        facts += [f"{file.name} (SHA-256 {file.sha256[:12]}…)" for file in self.files]
+        facts += [f"{file.name} (SHA-256 {file.sha256[:12]}…)" for file in self.files[:_FILES_SHOWN]]
+        more = len(self.files) - _FILES_SHOWN
+        facts += [f"and {more} more files"] if more > 0 else []
         return f"catalogue {self.name}: {', '.join(facts)}" + (f"; {self.note}" if self.note else "")
 
 
