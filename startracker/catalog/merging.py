@@ -22,7 +22,7 @@ by arcseconds; an unrelated star of like brightness lies within 10″ of one sta
 _ARCSEC_PER_MAG = 0.5
 """Weight of a difference in brightness relative to one in position."""
 _COMPANION_ARCSEC = 10.0
-"""Stars of the deep catalogue this close to one that both have belong to it: chance places 35 of the 2,800 there."""
+"""Stars of the deep catalogue this close to one that both have belong to it: 35 of these 2,800 are there by chance."""
 _SAME_MOTION_ARCSEC = 0.15
 """Up to this difference of the positions, the proper motion is corrected by it: the errors of Hipparcos' positions and
 proper motions explain it. Beyond, an orbit or a photocentre may, and the proper motion is that of Hipparcos."""

@@ -43,7 +43,7 @@ USUAL_NAMES = {
     "parallax": ("parallax", "plx"),
     "id": ("id", "source_id", "source", "gaia", "hip"),
 }
-"""Quantities, and the names under which their columns are found without being told; case does not matter."""
+"""Quantities, and the names under which their columns are recognised; case does not matter."""
 
 
 @dataclass(frozen=True)
@@ -281,12 +281,12 @@ def _ids(table: Columns, column: str | None, rows: NDArray[np.int64]) -> NDArray
 
 
 def _joined(parts: Sequence[StarCatalog]) -> StarCatalog:
-    """The stars of all files, each position once; numbers by row, which begin anew in each file, are made distinct."""
+    """The stars of all files, each position once; numbers by row, which start again in each file, are made distinct."""
     if len(parts) == 1:
         return parts[0]
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in StarCatalog.columns()}
-    place = np.stack([columns["ra_rad"], columns["dec_rad"]], axis=1)
-    _, first = np.unique(place, axis=0, return_index=True)
+    positions = np.stack([columns["ra_rad"], columns["dec_rad"]], axis=1)
+    _, first = np.unique(positions, axis=0, return_index=True)
     rows = np.sort(first)
     chosen: dict[str, Any] = {name: values[rows] for name, values in columns.items()}
     if len(np.unique(chosen["id"])) < len(rows):
