@@ -15,6 +15,7 @@ from astropy.table import Table
 
 from simulator.cli.application import run_application
 from simulator.scenario import Scenario
+from simulator.study.flight.design import flight_design
 from startracker import load_catalog
 from startracker.catalog import known_catalogs
 from startracker.catalog.tables import read_columns
@@ -200,6 +201,15 @@ def test_the_stars_of_hipparcos_appear_once(tmp_path):
     add_catalog("rough", [tmp_path / "four.parquet"], TableOptions(2016.0, sigma_mas=100.0))
     order = np.argsort(load_catalog("rough").id)
     np.testing.assert_array_equal(load_catalog("rough").ra_rad[order][:-1], hipparcos.ra_rad[np.argsort(hipparcos.id)])
+
+
+def test_a_flight_build_refuses_numbers_that_its_tables_do_not_hold(tmp_path):
+    bright = load_catalog("hipparcos").brighter_than(6.5)
+    table = {"id": bright.id + 10**12, "ra": np.degrees(bright.ra_rad), "dec": np.degrees(bright.dec_rad)}
+    pq.write_table(pa.table(table | {"v": bright.v_mag}), tmp_path / "numbers.parquet")
+    add_catalog("numbers", [tmp_path / "numbers.parquet"], PLAIN)
+    with pytest.raises(InputError, match=r"the catalogue numbers has star numbers of more than 32 bits"):
+        flight_design(Scenario.load("cubesat", ["tracker.catalog=numbers", "sky.faint_magnitude_limit=null"]))
 
 
 # ------------------------------------------------------------------ names, and mistakes
