@@ -73,6 +73,17 @@ def _registered(kind: str, module: str, registry: str) -> NameCheck:
     return check
 
 
+def _catalog(name: Any, _: Mapping[str, Any]) -> str | None:
+    """Check of the name of a catalogue against the built-in ones, those that were added, and entry points."""
+    from startracker.catalog import known_catalogs
+
+    try:
+        lookup("catalogs", known_catalogs(), name)
+    except InputError as error:
+        return str(error)
+    return None
+
+
 def _curve(kind: CurveKind) -> NameCheck:
     def check(spec: Any, _: Mapping[str, Any]) -> str | None:
         from simulator.optics.curves import load_curve
@@ -188,13 +199,13 @@ NAME_CHECKS: NameChecks = {
     "pointing.jitter.series": _jitter_series,
     "pointing.target": _target,
     "pointing.mounting": _registered("mountings", "simulator.mission.pointing", "MOUNTINGS"),
-    "sky.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
+    "sky.catalog": _catalog,
     "sky.satellites.file": _satellite_file,
     "sky.spectrum": _registered("spectra", "simulator.sky.spectra", "SPECTRA"),
     "optics.transmission": _curve("transmission"),
     "optics.psf.model": _registered("psfs", "simulator.optics.psf", "PSFS"),
     "detector.quantum_efficiency": _curve("quantum_efficiency"),
-    "tracker.catalog": _registered("catalogs", "startracker.catalog", "CATALOGS"),
+    "tracker.catalog": _catalog,
     "tracker.detector": _registered("detectors", "startracker.detection", "METHODS"),
     "tracker.centroider": _registered("centroiders", "startracker.centroid", "METHODS"),
     "tracker.identifier": _registered("identifiers", "startracker.identification", "METHODS"),

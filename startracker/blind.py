@@ -18,7 +18,7 @@ from startracker.catalog.stars import StarCatalog
 from startracker.core import FloatArray, IntArray
 from startracker.detection.background import Light
 from startracker.errors import InputError
-from startracker.explain import attitude_steps, hints, listed_step, search_step
+from startracker.explain import attitude_steps, catalogue_step, hints, listed_step, search_step
 from startracker.free_search import FreeSearch
 from startracker.front_end import Clock, find_stars
 from startracker.geometry.camera import Camera, as_camera
@@ -130,9 +130,11 @@ def solve_unknown_fov(
         saturated=points.saturated,
         settings=points.detection,
     )
-    searched = search_step(search.trials, bands, sides), Step("identification", solution.reason)
+    stars = as_catalog(catalog).provenance
+    tried = search_step(search.trials, bands, sides), Step("identification", solution.reason)
+    searched = catalogue_step(stars), *tried
     steps = (*points.steps, *searched, *attitude_steps(solution), *advice)
-    return replace(solution, times_ms=clock.times_ms(), steps=steps)
+    return replace(solution, times_ms=clock.times_ms(), steps=steps, catalog=stars)
 
 
 class _Points(NamedTuple):

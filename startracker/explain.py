@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.catalog.source import CatalogSource
 from startracker.centroid.result import Centroids
 from startracker.core import ARCSEC_RAD, FloatArray
 from startracker.detection.background import Background
@@ -97,6 +98,11 @@ def listed_step(given: int, xy: FloatArray, flux: FloatArray | None) -> Step:
         text += f", {left_out} left out (not finite, outside the image or repeated)"
     text += f", {_magnitudes(flux)}" if flux is not None and len(flux) else ", without flux"
     return Step("centroids", text)
+
+
+def catalogue_step(source: CatalogSource) -> Step:
+    """Files, number of stars, epoch and depth of the catalogue."""
+    return Step("identification", str(source))
 
 
 def identification_steps(

@@ -22,6 +22,7 @@ from startracker.trace import Step
 
 if TYPE_CHECKING:
     from startracker.catalog.guide import GuideDatabase
+    from startracker.catalog.source import CatalogSource
 
 _NAMED_STARS = 8
 """Number of the brightest stars that are named in the chart of a notebook."""
@@ -187,6 +188,8 @@ class Solution:
     bodies : SeenBodies
         Planets, Moon and Sun among the centroids, by their ephemeris for the observer; they are not used in the
         attitude fit.
+    catalog : CatalogSource, optional
+        The catalogue with which the field was solved: its files with their digests, number of stars, epoch and depth.
     """
 
     status: Status
@@ -205,6 +208,7 @@ class Solution:
     prior_contradicted: bool = False
     observer: Observer | None = None
     bodies: SeenBodies = field(default=NO_BODIES)
+    catalog: CatalogSource | None = None
 
     def __repr__(self) -> str:
         if self.attitude is None:

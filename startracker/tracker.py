@@ -25,7 +25,7 @@ from startracker.core import FloatArray, IntArray
 from startracker.display import described
 from startracker.errors import InputError
 from startracker.estimation.field_fit import Estimator, takes_field
-from startracker.explain import attitude_steps, hints, identification_steps, listed_step, search_step
+from startracker.explain import attitude_steps, catalogue_step, hints, identification_steps, listed_step, search_step
 from startracker.field_solution import (
     Field,
     explains_bright_stars,
@@ -73,7 +73,7 @@ class StarTracker:
     camera : Camera or path
         Calibrated camera, or the name of its file, as for ``boresight solve --camera``.
     catalog : str or StarCatalog
-        Name (``hipparcos``, ``bsc5``) or a user-defined table.
+        Name (``hipparcos``, ``bsc5``, ``gaia``) or a user-defined table.
     magnitude_limit : float
         Magnitude limit of the guide stars, V; should be slightly fainter than the camera detects.
     detector, centroider, identifier, estimator : str
@@ -182,7 +182,9 @@ class StarTracker:
         found = next(hypotheses)
         if found.status is not None:
             trace.append(partial(hints, found.status, 0, known_camera=True))
-            return replace(unsolved(self.camera, found.status, found.reason, clock), steps=Steps(*trace))
+            refused = unsolved(self.camera, found.status, found.reason, clock)
+            return replace(refused, steps=Steps(*trace), catalog=self.guide.catalog.provenance)
+        trace.append(partial(catalogue_step, self.guide.catalog.provenance))
         hint = as_prior(*prior_of(image, prior, prior_deg, lost_in_space))
         solution, found = self._best_hypothesis(chain((found,), hypotheses), hint, given.observer, clock, trace)
         if not solution.solved and found.saturated_share > SATURATED_SHARE:
@@ -193,7 +195,7 @@ class StarTracker:
         trace.append(
             partial(hints, solution.status, seen, known_camera=True, saturated=saturated, settings=self.detection)
         )
-        return replace(solution, steps=Steps(*trace))
+        return replace(solution, steps=Steps(*trace), catalog=self.guide.catalog.provenance)
 
     def solve_centroids(
         self,
@@ -230,7 +232,8 @@ class StarTracker:
         clock, observer = Clock(), observer_of(observer, time)
         points, signal, rows = usable_centroids(xy, flux, self.camera.width, self.camera.height)
         given = np.size(xy) // 2
-        trace: Trace = [partial(listed_step, given, points, signal)]
+        source = self.guide.catalog.provenance
+        trace: Trace = [partial(listed_step, given, points, signal), partial(catalogue_step, source)]
         guide, variance = self.guide.apparent_to(observer), stated_variance(sigma_px, given, rows)
         measured = Measured(points, signal, variance)
         solution = self._solve(measured, as_prior(prior, prior_deg), observer, guide, clock, trace)
@@ -239,7 +242,7 @@ class StarTracker:
             reason = f"{reason} ({left_out} centroids not finite, outside the image or repeated)"
         trace.append(partial(attitude_steps, solution))
         trace.append(partial(hints, solution.status, len(points), known_camera=True))
-        return replace(solution, reason=reason, steps=Steps(*trace))
+        return replace(solution, reason=reason, steps=Steps(*trace), catalog=source)
 
     # ------------------------------------------------------------------ points or trails
     def _best_hypothesis(

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from simulator.cli.catalog_command import catalog_app
 from simulator.cli.live_request import ServeRequest
 from simulator.cli.options import ScenarioFile, ScenarioFiles, SetValues, as_command, option, switch
 from simulator.cli.requests import (
@@ -150,6 +151,7 @@ for _name, _function, _group, _example in _COMMANDS:
     app.command(_name, rich_help_panel=_group, epilog=f"Example: {_example}")(_function)
 app.add_typer(study_app, name="study", rich_help_panel=_SIMULATE)
 app.add_typer(stimulate_app, name="stimulate", rich_help_panel=_SIMULATE)
+app.add_typer(catalog_app, name="catalog", rich_help_panel=_INSTALLATION)
 
 
 @contextmanager

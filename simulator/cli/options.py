@@ -70,7 +70,7 @@ Dask = Annotated[
     str | None,
     option("--dask", "ADDRESS", "Run on the workers of this dask.distributed scheduler."),
 ]
-Catalog = Annotated[str, option("--catalog", "NAME", "Star catalogue: hipparcos or bsc5.")]
+Catalog = Annotated[str, option("--catalog", "NAME", "Star catalogue: hipparcos, bsc5, gaia, or one that was added.")]
 
 
 def as_command(request: type, module: str) -> Callable[..., None]:

@@ -73,6 +73,7 @@ def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -
             {"x": float(x), "y": float(y), "ra_deg": _number(ra), "dec_deg": _number(dec)}
             for (x, y), (ra, dec) in zip(pixels, _radec_deg(solution, pixels, observer), strict=True)
         ],
+        "catalog": solution.catalog.as_dict() if solution.catalog else None,
         "steps": [{"stage": step.stage, "text": step.text} for step in solution.steps],
         "times_ms": {stage: round(float(value), 3) for stage, value in solution.times_ms.items()},
     }

@@ -40,7 +40,7 @@ class SuggestingGroup(TyperGroup):
         if args and not args[0].startswith("-") and args[0] not in self.commands:
             close = difflib.get_close_matches(args[0], self.commands, n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(self.commands)}"
-            kind = "command" if ctx.parent is None else "study"
+            kind = "study" if ctx.info_name == "study" else "command"
             ctx.fail(f"'{args[0]}' is not a {kind}; {hint}")
         return super().resolve_command(ctx, args)
 

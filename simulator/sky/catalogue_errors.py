@@ -60,6 +60,7 @@ def with_errors(catalog: StarCatalog, errors: CatalogueErrors, rng: np.random.Ge
         pm_ra_rad_yr=catalog.pm_ra_rad_yr + per_year * pm_east,
         pm_dec_rad_yr=catalog.pm_dec_rad_yr + per_year * pm_north,
         position_sigma_rad=math.hypot(catalog.position_sigma_rad, at),
+        star_sigma_rad=np.hypot(catalog.star_sigma_rad, at),
     )
 
 

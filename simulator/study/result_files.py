@@ -12,16 +12,24 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from simulator.paths import make_folder, write_atomically
+from startracker.catalog import load_catalog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from simulator.scenario import Scenario
     from simulator.study.results_folder import Identity
 
 
 def now_utc() -> str:
     """Current date and time, UTC, ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def catalogs_of(scenario: Scenario) -> dict[str, Any]:
+    """Provenance of the catalogues of the sky and of the tracker."""
+    names = {"sky": scenario.sky.catalog, "tracker": scenario.tracker.catalog}
+    return {use: load_catalog(name).provenance.as_dict() for use, name in names.items()}
 
 
 def json_text(values: Any) -> str:

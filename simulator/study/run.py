@@ -18,7 +18,7 @@ from simulator.checks import as_scenario
 from simulator.scenario import Scenario
 from simulator.study.axes import BODY_AXES
 from simulator.study.data_frames import Rows
-from simulator.study.result_files import json_text, now_utc, write_files
+from simulator.study.result_files import catalogs_of, json_text, now_utc, write_files
 from simulator.study.result_options import check_run_options
 from simulator.study.results_folder import results_folder, standing
 from simulator.study.specification.measured import judge_frames
@@ -31,6 +31,7 @@ from simulator.study.trials.parts import PARTS_FOLDER, TRIALS_FILE, discard_part
 from startracker._compiled import clock
 from startracker._version import __version__
 from startracker.arguments import text, whole_number
+from startracker.catalog.source import CatalogSource
 from startracker.display import angle_text, described
 from startracker.errors import BoresightError, InputError
 
@@ -213,6 +214,7 @@ def _summary(scenario: Scenario, done: Trials, columns: Columns, elapsed_s: floa
         "trials_per_second": (done.finished - done.taken_over) / elapsed_s,
         "median_ms": {name: median(columns[f"{name}_ms"]) for name in ("render", "solve")},
         "versions": _versions(),
+        "catalogs": catalogs_of(scenario),
     }
 
 
@@ -222,6 +224,7 @@ def _write_pages(
     from simulator.study.report.page import report_html
 
     header = "".join(f"# {name} {number}\n" for name, number in summary["versions"].items())
+    header += "".join(f"# {use}: {CatalogSource.from_dict(one)}\n" for use, one in summary["catalogs"].items())
     files = {
         "summary.json": json_text(summary),
         "scenario.resolved.yaml": f"# boresight {__version__}\n{header}{scenario.to_yaml()}",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from startracker.annotation.labels import Label, Labels
 from startracker.annotation.sky import grid_lines, polyline
 from startracker.catalog.bodies import body_directions
+from startracker.catalog.gaia import MOST_HIP
 from startracker.catalog.names import (
     constellation_lines,
     deep_sky_directions,
@@ -184,6 +185,8 @@ def mark_grid(ax: Axes, field: FieldOfStars, labels: Labels) -> None:
 
 def _number(catalog: StarCatalog, number: int) -> str:
     """Catalogue number with the catalogue's abbreviation."""
-    if catalog.name == "hipparcos":
+    if catalog.name == "gaia" and number > MOST_HIP:
+        return f"Gaia DR3 {number}"
+    if catalog.name in ("hipparcos", "gaia"):
         return f"HIP {number}" if number > 0 else f"HR {-number}"
     return f"HR {number}" if catalog.name == "bsc5" else str(number)

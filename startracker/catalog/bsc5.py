@@ -6,12 +6,14 @@ Astronomical Data Center, NSSDC/ADC, 1991 (CDS V/50). The file ships unmodified,
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
 
 from startracker.catalog.fixed_width import FixedWidth
+from startracker.catalog.source import SourceFile
 from startracker.catalog.stars import StarCatalog
 from startracker.core import ARCSEC_RAD
 
@@ -28,7 +30,9 @@ def load_bsc5() -> StarCatalog:
     Positions are rounded to 0.1 s and 1″ in the file; the median error relative to Hipparcos is 0.65″. Proper motions
     are in the FK5 system, with RA multiplied by cos Dec. Parallaxes are trigonometric or dynamical.
     """
-    return parse_bsc5((files("startracker.catalog") / "data" / "bsc5.dat").read_bytes())
+    data = (files("startracker.catalog") / "data" / "bsc5.dat").read_bytes()
+    catalog = parse_bsc5(data)
+    return replace(catalog, source=replace(catalog.provenance, files=(SourceFile.of(data, "bsc5.dat"),)))
 
 
 def parse_bsc5(data: bytes) -> StarCatalog:

@@ -6,6 +6,7 @@ The cache only saves time: any error is treated as a cache miss.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import tempfile
 import zipfile
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from startracker.catalog.source import CatalogSource
 from startracker.catalog.stars import StarCatalog, read_only
 
 _UNUSABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
@@ -39,15 +41,17 @@ def load(key: str) -> StarCatalog | None:
             return None
         columns: dict[str, Any] = {column: read_only(stored[column]) for column in StarCatalog.columns()}
         columns["position_sigma_rad"] = float(stored["position_sigma_rad"])
+        columns["source"] = CatalogSource.from_dict(json.loads(str(stored["source"])))
         return StarCatalog(str(stored["name"]), float(stored["epoch_jyear"]), **columns)
-    except (ValueError, KeyError):
+    except (ValueError, KeyError, TypeError):
         return None
 
 
 def store(key: str, catalog: StarCatalog) -> None:
     """Store a catalogue under `key`."""
     names = (*StarCatalog.columns(), "name", "epoch_jyear", "position_sigma_rad")
-    store_arrays(key, {name: np.asarray(getattr(catalog, name)) for name in names})
+    arrays = {name: np.asarray(getattr(catalog, name)) for name in names}
+    store_arrays(key, arrays | {"source": np.asarray(catalog.provenance.as_json())})
 
 
 def load_arrays(key: str) -> dict[str, NDArray[Any]] | None:

@@ -37,6 +37,14 @@ RESOLVED_PX = 2.0
 """Two stars closer than this are not resolved (Greyling 1995, eq. 5.1)."""
 PATTERN_STARS_IN_FIELD = 60
 """Maximum number of pattern stars in a circle around the field; fainter guide stars are only used for verification."""
+MOST_PAIRS = 12e6
+"""Expected number of pairs of pattern stars that fit into a field, above which fewer stars are pattern stars. Only deep
+catalogues and fields of 1° to 4° reach it, where 60 stars in a field would make up to 5e7 pairs. The pairs of which the
+default identifier has a list, of up to 0.6 of the field's diagonal, take 34 MB at 1° and 55 MB at 2° (`gaia` to
+V = 10)."""
+_FEWEST_PATTERN_STARS = 6
+_ZONE_STARS = 20_000
+"""Number of stars of a zone whose pairs are formed at once, if there are more than three zones."""
 _PAIR_EPOCH_STEP = 5.0  # years; the fastest naked-eye star moves 18″ in half a step, the 100th fastest 2.5″
 
 
@@ -60,9 +68,11 @@ class PairList:
         points = directions[index]
         if len(index) < 500:  # the cone of a prior: all pairs at once
             i, j = np.triu_indices(len(index), 1)
-        else:
+        elif len(index) < 3 * _ZONE_STARS:
             pairs = cKDTree(points).query_pairs(2.0 * math.sin(min(max_rad, math.pi) / 2.0), output_type="ndarray")
             i, j = pairs[:, 0], pairs[:, 1]
+        else:
+            return cls._of_zones(points, index, max_rad, min_rad)
         x, y, z = (points[i] - points[j]).T
         separation = 2.0 * np.arcsin(np.minimum(np.sqrt(x * x + y * y + z * z) / 2.0, 1.0))
         keep = np.flatnonzero((separation >= min_rad) & (separation <= max_rad))
@@ -74,6 +84,30 @@ class PairList:
         order = keep[order]
         first, second = index[i[order]].astype(np.int32), index[j[order]].astype(np.int32)
         return cls(first, second, separation[order].astype(np.float32))
+
+    @classmethod
+    def _of_zones(cls, points: FloatArray, index: IntArray, max_rad: float, min_rad: float) -> PairList:
+        """As `of`, zone by zone from south to north, which keeps the intermediate arrays small."""
+        chord = 2.0 * math.sin(min(max_rad, math.pi) / 2.0)
+        northward = np.argsort(points[:, 2], kind="stable")
+        z, first, second, separation = points[northward, 2], [], [], []
+        for start in range(0, len(index), _ZONE_STARS):
+            stop = min(start + _ZONE_STARS, len(index))
+            # The second star of a pair is north of the first, by the largest separation at most.
+            end = max(int(np.searchsorted(z, z[stop - 1] + chord, side="right")), stop)
+            rows = northward[start:end]
+            pairs = cKDTree(points[rows]).query_pairs(chord, output_type="ndarray")
+            pairs = pairs[pairs.min(axis=1) < stop - start]
+            # The order within a pair is that of brightness, as in one list of all.
+            i, j = np.sort(rows[pairs], axis=1).T
+            apart = 2.0 * np.arcsin(np.minimum(np.linalg.norm(points[i] - points[j], axis=1) / 2.0, 1.0))
+            keep = (apart >= min_rad) & (apart <= max_rad)
+            first.append(index[i[keep]].astype(np.int32))
+            second.append(index[j[keep]].astype(np.int32))
+            separation.append(apart[keep].astype(np.float32))
+        apart = np.concatenate(separation)
+        order = np.argsort(apart, kind="stable")
+        return cls(np.concatenate(first)[order], np.concatenate(second)[order], apart[order])
 
 
 def close_pairs(
@@ -116,6 +150,11 @@ def brightest_everywhere(directions: FloatArray, radius_rad: float, limit: int) 
             chosen[start:stop] = count < limit
         start = stop
     return chosen
+
+
+def expected_pairs(stars: int, half_diagonal_rad: float) -> float:
+    """Expected number of pairs within the diagonal of a field, of stars spread evenly over the sky."""
+    return 0.25 * float(stars) ** 2 * (1.0 - math.cos(min(2.0 * half_diagonal_rad, math.pi)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,6 +351,9 @@ def field_of(camera: Camera) -> tuple[float, float]:
 def _build(
     catalog: StarCatalog, camera: Camera, magnitude_limit: float, close_deg: float, close_magnitude: float
 ) -> GuideDatabase:
+    # Spectral types are unused, and half of the database's memory.
+    source = catalog.provenance
+    catalog = replace(catalog, spectral_type=np.full(len(catalog), ""), source=source)
     merged = merge_doubles(_deep_enough(catalog, magnitude_limit), min(RESOLVED_PX * camera.pixel_rad, 0.1))
     merged = merged.brighter_than(magnitude_limit)
     if len(merged) < 3:
@@ -320,11 +362,16 @@ def _build(
             f"magnitude limit {magnitude_limit}: the catalogue {catalog.name} has {len(merged)} stars down to it; "
             f"give a fainter limit (its brightest star is V = {faintest:.2f})"
         )
-    merged = replace(merged, spectral_type=np.full(len(merged), ""))  # unused, and half of the database's memory
     half_diagonal, solid_angle = field_of(camera)
     directions = merged.directions(merged.epoch_jyear)
     pattern = ~close_pairs(directions, merged.v_mag, math.radians(close_deg), close_magnitude)
     even = brightest_everywhere(directions[pattern], half_diagonal, PATTERN_STARS_IN_FIELD)
+    pairs = expected_pairs(int(even.sum()), half_diagonal)
+    if pairs > MOST_PAIRS:
+        # The number of pairs grows with the square of that of the stars in a field.
+        around = even.sum() * 0.5 * (1.0 - math.cos(half_diagonal))
+        limit = max(math.floor(around * math.sqrt(MOST_PAIRS / pairs)), _FEWEST_PATTERN_STARS)
+        even = brightest_everywhere(directions[pattern], half_diagonal, limit)
     pattern[np.flatnonzero(pattern)[~even]] = False
     return GuideDatabase(
         camera,

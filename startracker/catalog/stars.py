@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.arguments import julian_year, real_array, real_number, text
+from startracker.catalog.source import CatalogSource, depth_of
 from startracker.core import ARCSEC_RAD, AU_KM, DAYS_PER_JULIAN_YEAR, MAS_RAD, FloatArray
 from startracker.display import described, quantity_range
 from startracker.errors import InputError
 from startracker.geometry.attitude import direction_to_radec, radec_to_direction
 
+_OF_THE_WHOLE = ("name", "epoch_jyear", "position_sigma_rad", "source")
 _AU_PER_YEAR_IN_KM_S = AU_KM / (DAYS_PER_JULIAN_YEAR * 86_400.0)
 
 
@@ -29,7 +31,7 @@ class StarCatalog:
         Julian epoch of the positions (TT/TCB; the difference is far below the catalogues' errors).
     id : int array
         Number in the catalogue (HR for ``bsc5``, HIP for ``hipparcos``; negative: minus the HR number of a bright
-        star that Hipparcos lacks).
+        star that Hipparcos lacks; ``gaia``: as ``hipparcos``, and Gaia's source_id for the stars it adds).
     ra_rad, dec_rad : float array
         ICRS position at `epoch_jyear`.
     pm_ra_rad_yr, pm_dec_rad_yr : float array
@@ -49,6 +51,11 @@ class StarCatalog:
     variable : bool array
         Whether the catalogue lists the star as variable; all False by default. A variable star may be brighter or
         fainter than `v_mag`.
+    star_sigma_rad : float array
+        Standard error of the position of each star on one axis; by default `position_sigma_rad` for all. If they
+        differ, the `position_sigma_rad` of a selection of stars is their root mean square.
+    source : CatalogSource, optional
+        Files from which the stars were read, for the records of results.
     """
 
     name: str
@@ -66,6 +73,8 @@ class StarCatalog:
     star_name: NDArray[np.str_]
     position_sigma_rad: float = 0.1 * ARCSEC_RAD
     variable: NDArray[np.bool_] = field(default=cast("NDArray[np.bool_]", None))  # None: no known variables
+    star_sigma_rad: FloatArray = field(default=cast("FloatArray", None))  # None: that of the catalogue
+    source: CatalogSource | None = None
 
     def __repr__(self) -> str:
         magnitudes = quantity_range("V", self.v_mag)
@@ -81,6 +90,8 @@ class StarCatalog:
             raise InputError(f"catalogue {self.name}: column 'id' must be an array") from None
         if cast("object", self.variable) is None:
             object.__setattr__(self, "variable", np.zeros(n, dtype=bool))
+        if cast("object", self.star_sigma_rad) is None:
+            object.__setattr__(self, "star_sigma_rad", np.full(n, float(self.position_sigma_rad)))
         for column in self.columns():
             try:
                 array = _unchangeable(getattr(self, column))
@@ -99,7 +110,7 @@ class StarCatalog:
     @classmethod
     def columns(cls) -> list[str]:
         """Names of the columns."""
-        return [f.name for f in fields(cls) if f.name not in ("name", "epoch_jyear", "position_sigma_rad")]
+        return [f.name for f in fields(cls) if f.name not in _OF_THE_WHOLE]
 
     def __len__(self) -> int:
         return len(self.id)
@@ -110,7 +121,17 @@ class StarCatalog:
             columns: dict[str, Any] = {c: read_only(np.atleast_1d(getattr(self, c)[index])) for c in self.columns()}
         except (IndexError, TypeError, ValueError) as error:
             raise InputError(f"a part of {self.name} needs a boolean mask or an array of rows: {error}") from None
+        sigma = columns["star_sigma_rad"]
+        if len(sigma) and (sigma != sigma[0]).any():
+            columns["position_sigma_rad"] = float(np.sqrt(np.mean(sigma**2)))
         return replace(self, **columns)
+
+    @property
+    def provenance(self) -> CatalogSource:
+        """Files, number of stars, epoch and depth; of a table made in memory without files."""
+        if self.source is not None:
+            return self.source
+        return CatalogSource(self.name, len(self), self.epoch_jyear, depth_of(self.v_mag))
 
     def brighter_than(self, magnitude: float) -> StarCatalog:
         """Stars with V ≤ `magnitude`, brightest first."""

@@ -122,6 +122,7 @@ class Followed:
             camera=camera,
             log_false_alarm=self.log_chance,
             observer=observer,
+            catalog=guide.catalog.provenance,
         )
 
 

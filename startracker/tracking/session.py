@@ -280,7 +280,8 @@ class TrackingSession:
     def _refuse(self, status: Status, reason: str, xy: FloatArray, clock: Clock) -> Solution:
         """Solution of a frame that is not used."""
         self.state = TrackingState("coasting", note=self._note)
-        return unsolved(self.tracker.camera, status, self._with_note(reason), clock, xy)
+        refused = unsolved(self.tracker.camera, status, self._with_note(reason), clock, xy)
+        return replace(refused, catalog=self.tracker.guide.catalog.provenance)
 
     def _with_note(self, reason: str) -> str:
         return f"{reason}; {self._note}" if self._note else reason

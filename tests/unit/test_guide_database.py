@@ -5,8 +5,16 @@ import math
 import numpy as np
 import pytest
 
+from startracker.catalog import guide as guide_stars
 from startracker.catalog import load_catalog
-from startracker.catalog.guide import GuideDatabase, PairList, brightest_everywhere, close_pairs, field_of
+from startracker.catalog.guide import (
+    GuideDatabase,
+    PairList,
+    brightest_everywhere,
+    close_pairs,
+    expected_pairs,
+    field_of,
+)
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.geometry.attitude import Attitude, radec_to_direction
@@ -49,6 +57,50 @@ def test_pair_list_is_that_of_brute_force_small_and_large():
         assert np.all(np.diff(pairs.separation_rad) >= 0)
         # arccos of a cosine near one loses half the digits: 1e-8 rad at 0.5°
         np.testing.assert_allclose(pairs.separation_rad, np.sort(angle[i, j]), rtol=1.2e-7)  # float32
+
+
+def test_pairs_of_zones_are_those_of_one_list(monkeypatch):
+    rng = np.random.default_rng(8)
+    directions = rng.normal(size=(3000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    index = rng.permutation(3000)[:2500]
+    index.sort()
+    for high_deg, low_deg in ((3.0, 0.3), (70.0, 0.0)):  # zones wider and narrower than a pair
+        high, low = math.radians(high_deg), math.radians(low_deg)
+        whole = PairList.of(directions, index, high, low)
+        monkeypatch.setattr(guide_stars, "_ZONE_STARS", 400)
+        zoned = PairList.of(directions, index, high, low)
+        monkeypatch.undo()
+        np.testing.assert_array_equal(zoned.separation_rad, whole.separation_rad)
+        pairs = [set(zip(one.first.tolist(), one.second.tolist(), strict=True)) for one in (zoned, whole)]
+        assert pairs[0] == pairs[1]
+        assert len(pairs[0]) == len(whole)
+
+
+def test_deep_catalogues_have_fewer_pattern_stars(monkeypatch):
+    rng = np.random.default_rng(9)
+    places = {"ra_rad": rng.uniform(0, 2 * np.pi, 6000), "dec_rad": np.arcsin(rng.uniform(-1, 1, 6000))}
+    catalog, camera = sky(6000, **places), Camera.from_fov(fov_deg=12.0, width=256, height=256)
+    whole = GuideDatabase.build(catalog, camera, 6.0)
+    count = len(whole.pairs)
+    assert count == pytest.approx(expected_pairs(int(whole.pattern.sum()), whole.half_diagonal_rad), rel=0.05)
+    monkeypatch.setattr(guide_stars, "MOST_PAIRS", count / 3.0)
+    guide_stars._build.cache_clear()
+    fewer = GuideDatabase.build(catalog, camera, 6.0)
+    guide_stars._build.cache_clear()
+    # the same guide stars, of which the brightest everywhere are in patterns
+    np.testing.assert_array_equal(fewer.catalog.id, whole.catalog.id)
+    # a batch of `brightest_everywhere` has an eighth of the stars before it, and so many may be too many
+    assert 0.8 < len(fewer.pairs) / (count / 3.0) < 1.125**2
+    assert fewer.v_mag[fewer.pattern].mean() < whole.v_mag[whole.pattern].mean()
+    for _ in range(50):
+        near = fewer.in_cone(directions_of(rng), whole.half_diagonal_rad)
+        assert fewer.pattern[near].sum() >= min(6, whole.pattern[near].sum())
+
+
+def directions_of(rng):
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
 
 
 def test_close_pairs_marks_whom_a_neighbour_pulls():

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from simulator.sky.solar_system import RADIUS_KM
 
 from simulator.sky import background, catalogue_errors, faint_stars, instants
 from simulator.sky.apparent import largest_shift_rad
@@ -14,7 +15,6 @@ from simulator.sky.extinction import extinction_over_av, relative_extinction
 from simulator.sky.magnitudes import SATURN_POLE, URANUS_AXES_SQUARED, URANUS_POLE, moon_v, sun_v
 from simulator.sky.parameters import SatelliteParameters, Sky
 from simulator.sky.satellites import behind_earth, standard_magnitude, sunlit_share
-from simulator.sky.solar_system import RADIUS_KM
 from simulator.sky.star_counts import count_between, draw_magnitudes, light_between_s10
 from startracker.geometry.attitude import direction_to_radec, radec_to_direction
 from startracker.observer import Observer

@@ -5,17 +5,22 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
+
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
 from simulator.scenario.schema_sequence import SequenceSection
 from simulator.study.process_noise import process_noise
 from simulator.study.star_tracker import build_tracker
+from startracker.catalog.stars import StarCatalog
+from startracker.errors import InputError
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.observer import Observer
 from startracker.settings import TrackingSettings
 from startracker.settings.identification import IdentificationSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
 
+_NUMBERS_END = 2**31
 _TRIADS = ("triads", "triads_integer")
 """Identifiers of the star tracker that a flight build has as ``triads``."""
 
@@ -47,6 +52,7 @@ def flight_design(
     tracker = build_tracker(scenario, renderer.camera)
     psf = renderer.focal_plane.psfs.psf()
     frame, _ = renderer.frame(0)
+    _check_numbers(tracker.guide.catalog)
     # the observer without aberration, which the flight build applies itself
     epoch = Observer(frame.observer.epoch_jyear)
     return FlightDesign(
@@ -64,6 +70,15 @@ def flight_design(
         scenario.name,
         scenario.fingerprint(),
     )
+
+
+def _check_numbers(catalog: StarCatalog) -> None:
+    """`InputError` for stars whose numbers the tables of a flight build do not hold, as Gaia's."""
+    if len(catalog) and int(np.abs(catalog.id).max()) >= _NUMBERS_END:
+        raise InputError(
+            f"the catalogue {catalog.name} has star numbers of more than 32 bits, which a flight build does not hold; "
+            "use tracker.catalog: hipparcos"
+        )
 
 
 def _motion(section: SequenceSection) -> RateNoise | GyroNoise:

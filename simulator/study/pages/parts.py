@@ -41,7 +41,7 @@ def provenance(results: Mapping[str, Any], digest: str) -> str:
     Parameters
     ----------
     results : mapping
-        With ``name``, ``seed``, ``version`` and, in results of this version, ``finished_utc``.
+        With ``name``, ``seed``, ``version`` and, in results of this version, ``finished_utc`` and ``catalogs``.
     digest : str
         SHA-256 of the scenario, in hexadecimal.
     """
@@ -49,6 +49,9 @@ def provenance(results: Mapping[str, Any], digest: str) -> str:
     parts.append(f"boresight {results['version']}")
     if finished := results.get("finished_utc"):
         parts.append(f"{finished[:16].replace('T', ' ')} UTC")
+    for use, source in results.get("catalogs", {}).items():
+        digests = ", ".join(file["sha256"][:DIGEST_DIGITS] for file in source["files"])
+        parts.append(f"stars of the {use}: {source['name']} ({source['stars']:,} stars, digests {digests})")
     return ", ".join(parts)
 
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 from simulator.checks import as_scenario
 from simulator.mission.spice import need_spiceypy
 from simulator.scenario import Scenario
-from simulator.study.result_files import json_text, now_utc, parquet_bytes, write_files
+from simulator.study.result_files import catalogs_of, json_text, now_utc, parquet_bytes, write_files
 from simulator.study.result_options import check_run_options
 from simulator.study.results_folder import Identity, results_folder, scenario_sha256, standing
 from simulator.study.sequence.animation import FrameView, find_ffmpeg, gif_bytes, mp4_bytes, view_of
@@ -139,6 +139,7 @@ def _run(
         interrupted=done < requested,
         **summarise_sequence(columns, scenario.sequence.step_s, sequence.judgement),
         unphysical=list(scenario.unphysical),
+        catalogs=catalogs_of(scenario),
         elapsed_s=elapsed_s,
         median_ms={name: median(columns[f"{name}_ms"]) for name in ("render", "track")},
     )
