@@ -48,7 +48,8 @@ def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator like `kernel`, with additional options of `numba.njit`."""
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = njit(cache=True, error_model="numpy", **options)(function)
+        # Nothing calls a kernel from C, so the second of numba's two wrappers of each kernel is not compiled.
+        dispatcher = njit(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
         _remove_stale_files(function, Path(dispatcher.stats.cache_path))
         return dispatcher
 

@@ -178,3 +178,16 @@ def test_times_of_a_solution_leave_the_compiler_out(monkeypatch):
     total_ms = stages.times_ms()["total"]
     all_but_compiling_ms = (time.perf_counter() - began) * 1e3 - 50.0
     assert 0.0 < stages.laps["detection"] < total_ms < all_but_compiling_ms
+
+
+def test_kernels_have_no_wrapper_for_callers_in_c():
+    """Which numba would compile for each of them."""
+    assert sort.targetoptions["no_cfunc_wrapper"]
+
+
+def test_a_command_collects_garbage_less_often_than_python_does():
+    """Compiling makes millions of objects, among which Python would search again and again."""
+    code = "import gc, sys; sys.argv = ['boresight', '--version']; from simulator.cli import main\n"
+    code += "try: main()\nfinally: print(gc.get_threshold()[0])"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert int(ended.stdout.split()[-1]) >= 10_000

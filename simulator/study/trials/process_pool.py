@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -109,6 +110,7 @@ def run_in_pool(
 
 def start_worker() -> None:
     """Prepare a worker process: Ctrl-C is the parent's affair, and the worker ends with it."""
+    gc.set_threshold(10_000, 20, 20)  # as in the command, for workers that compile
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
