@@ -35,8 +35,8 @@ from simulator.study.flight.program import frame_bytes, list_text
 from simulator.study.star_tracker import build_tracker
 from startracker import StarTracker
 from startracker.core import FloatArray
+from startracker.flight.c_text import CExport
 from startracker.flight.export import flight_export
-from startracker.integer_export import CExport
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 SEED = 25

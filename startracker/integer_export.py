@@ -8,7 +8,6 @@ exceed its buffer, which gives a status.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -16,12 +15,12 @@ import numpy as np
 
 from startracker.errors import InputError
 from startracker.fixed_point.arithmetic import SCALE, FixedArithmetic, FixedSky
-from startracker.fixed_point.c_table import CTable
-from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
 from startracker.fixed_point.cordic import STEPS_DEG
 from startracker.fixed_point.formats import SEPARATION, integers
 from startracker.fixed_point.square_root import CROSSOVER
 from startracker.fixed_point.tables import arccosine_table, cosine_table, quadrant_table
+from startracker.flight.c_table import CTable
+from startracker.flight.c_text import CExport, check_prefix, prefixed, tables_header, tables_source
 from startracker.identification.integer_solution import IntegerTracker
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_tables import TriadTables
@@ -49,22 +48,6 @@ solve: main.o $(OBJECTS)
 clean:
 \trm -f solve main.o $(OBJECTS)
 """
-
-
-@dataclass(frozen=True)
-class CExport:
-    """Source files, and the memory of their tables."""
-
-    prefix: str
-    """Prefix of all names."""
-    files: dict[str, str]
-    """File name to text."""
-    table_bytes: dict[str, int]
-    """Array name to size in bytes."""
-    modules: tuple[str, ...] = MODULES
-    """Sources of the solver besides the tables: ``<prefix>_<module>.c``."""
-    most_steps: int = 0
-    """Maximum number of comparisons of catalogue pairs in the search for triads."""
 
 
 def export_c(

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 from startracker._version import __version__
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
-from startracker.fixed_point.c_text import check_prefix, prefixed, tables_header, tables_source
+from startracker.flight.c_table import CTable
+from startracker.flight.c_text import CExport, check_prefix, prefixed, tables_header, tables_source
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GRID_MODULES, grid_arrays, grid_constants
 from startracker.flight.following import (
@@ -32,7 +32,6 @@ from startracker.flight.pose import POSE_MODULES, PoseTables, pose_arrays, pose_
 from startracker.flight.search_export import search_arrays, search_constants, search_modules
 from startracker.flight.search_tables import SearchTables, search_tables
 from startracker.flight.unit_data import unit_test_data
-from startracker.integer_export import CExport
 
 SATURATED_PART = 20
 """An unsolved frame with more than one saturated pixel in this many is called saturated (`survey.SATURATED_SHARE`)."""

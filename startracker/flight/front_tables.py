@@ -14,7 +14,7 @@ from startracker.detection.matched import DEFAULT_SIGMA_PX, matched_kernel
 from startracker.detection.scan import kernel_half
 from startracker.detection.thresholds import SHARP_SHARE, SHARPEST_STARS_PX2, WIDEST_TRACK_PX2
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
+from startracker.flight.c_table import CTable
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import VARIANCE_BITS
 

@@ -21,10 +21,10 @@ import numpy as np
 
 from startracker.errors import InputError
 from startracker.estimation.pose import FOCAL_SIGMA, FREE_FOCAL_SIGMA, SHEAR_SIGMA, SYSTEMATIC
-from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.formats import Integers
 from startracker.fixed_point.vectors import DIRECTION
 from startracker.flight.apparent import guide_motion
+from startracker.flight.c_table import CTable
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GridTables, grid_tables, slopes_of
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.fixed_point.c_table import CTable
 from startracker.fixed_point.cordic import STEPS_DEG
 from startracker.flight import apparent, search_plan, search_tables, triad_numbers
+from startracker.flight.c_table import CTable
 from startracker.flight.search_tables import SearchTables
 from startracker.flight.triad_numbers import TriadNumbers, triad_constants
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from startracker.core import FloatArray
-from startracker.fixed_point.c_table import braced
 from startracker.flight.apparent import epoch_of
+from startracker.flight.c_table import braced
 from startracker.flight.design import FlightDesign
 from startracker.flight.unit_scenes import (
     REACH,

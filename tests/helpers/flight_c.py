@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from simulator.study.exported_c.build import FLAGS
-from startracker.fixed_point.c_table import CTable
+from startracker.flight.c_table import CTable
 
 STRICT = (*FLAGS, "-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes", "-ffp-contract=off")
 SANITIZED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")

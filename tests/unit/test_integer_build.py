@@ -13,9 +13,9 @@ from startracker import Camera
 from startracker.catalog import load_catalog
 from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
+from startracker.flight.c_text import CExport
 from startracker.geometry.attitude import Attitude
 from startracker.identification import METHODS, Observed
-from startracker.integer_export import CExport
 from startracker.solution import Status
 
 pytestmark = pytest.mark.system

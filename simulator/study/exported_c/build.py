@@ -16,7 +16,7 @@ from pathlib import Path
 from simulator.study.exported_c.stack import deepest_stack
 from simulator.study.exported_c.targets import HOST, MACHINE, Target
 from startracker.errors import InputError
-from startracker.integer_export import CExport
+from startracker.flight.c_text import CExport
 
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-ffp-contract=off")
 _HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign|sbrk)$")

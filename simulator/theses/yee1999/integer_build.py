@@ -33,6 +33,7 @@ from startracker.fixed_point.attitude import IntegerAttitude, NotSolved, plate_a
 from startracker.fixed_point.centroid import running_centroid
 from startracker.fixed_point.formats import CENTROID, Integers
 from startracker.fixed_point.tables import enclosed_table
+from startracker.flight.c_text import CExport
 from startracker.geometry.attitude import radec_to_direction
 from startracker.identification.integer_solution import (
     MAX_GROUPS,
@@ -45,7 +46,7 @@ from startracker.identification.integer_solution import (
 from startracker.identification.triad_search import TriadLimits
 from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
-from startracker.integer_export import CExport, export_c
+from startracker.integer_export import export_c
 
 _FIELDS = 80
 _SLENDER = 2e-3

@@ -28,9 +28,10 @@ from simulator.theses.yee1999.integer_build import (
 )
 from simulator.theses.yee1999.picture import Picture, deneb, vega
 from startracker.fixed_point.arithmetic import FixedArithmetic
+from startracker.flight.c_text import CExport
 from startracker.identification.integer_solution import MAX_TRIADS
 from startracker.identification.triad_search import TriadLimits
-from startracker.integer_export import CExport, export_c
+from startracker.integer_export import export_c
 
 _B = TriadLimits(enclosed_tolerance_deg=None)
 _CLOCKS = 25e6

@@ -1,14 +1,31 @@
-"""Text of exported C: names with a prefix, and the header and source of constant tables."""
+"""Text of exported C: its files, names with a prefix, and the header and source of constant tables."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
+from startracker.flight.c_table import CTable
 
 _NAME = re.compile(r"\b(tracker|TRACKER)(?=_|\.h)")
+
+
+@dataclass(frozen=True)
+class CExport:
+    """Source files, and the memory of their tables."""
+
+    prefix: str
+    """Prefix of all names."""
+    files: dict[str, str]
+    """File name to text."""
+    table_bytes: dict[str, int]
+    """Array name to size in bytes."""
+    modules: tuple[str, ...] = ()
+    """Sources of the solver besides the tables: ``<prefix>_<module>.c``."""
+    most_steps: int = 0
+    """Maximum number of comparisons of catalogue pairs in the search for triads."""
 
 
 def check_prefix(prefix: str) -> None:
