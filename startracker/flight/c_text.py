@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from startracker.errors import InputError
 from startracker.flight.c_table import CTable
 
+_FRAMES = re.compile(
+    r"^(?:#ifndef TRACKER_CENTROIDS|<!-- frames -->)\n(.*?)^(?:#endif /\* frames \*/|<!-- end -->)\n(\n?)", re.M | re.S
+)
 _NAME = re.compile(r"\b(tracker|TRACKER)(?=_|\.h)")
 
 
@@ -37,6 +40,16 @@ def check_prefix(prefix: str) -> None:
 def prefixed(text: str, prefix: str) -> str:
     """Text with the prefix in place of ``tracker`` and ``TRACKER`` at the beginning of names."""
     return _NAME.sub(lambda match: prefix if match[1] == "tracker" else prefix.upper(), text)
+
+
+def for_input(text: str, frames: bool) -> str:
+    """Text for a build of frames or for one from centroids.
+
+    What only a build of frames has is between the lines ``#ifndef TRACKER_CENTROIDS`` and ``#endif /* frames */`` of C,
+    and between ``<!-- frames -->`` and ``<!-- end -->`` of Markdown. These lines themselves are left out, and an empty
+    line after what is left out.
+    """
+    return _FRAMES.sub(r"\1\2" if frames else "", text)
 
 
 def tables_header(constants: Mapping[str, int | str], arrays: Iterable[CTable], more: Sequence[str] = ()) -> str:

@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from benchmarks.integer_lists import PATTERNS, Camera, pattern_list, scene
-from simulator.cli.application import app
 from simulator.randomness import stream
 from simulator.study.exported_c.build import FLAGS, compile_export
 from simulator.study.exported_c.centroid_lists import KINDS, centroid_list, list_text
@@ -285,45 +283,6 @@ def test_what_the_program_reads(build):
     ]
     with pytest.raises(InputError, match="no star"):
         build.solve("1 x\n")
-
-
-@needs_gcc
-def test_command(tmp_path):
-    arguments = ["export-c", str(tmp_path / "c"), "--magnitude-limit", "4.5", "--declination", "-90:90"]
-    arguments += ["--prefix", "north", "--centroid-error", "0.2", "--false-alarm-rate", "1e-9", "--resolution", "2"]
-    done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 0, done.output
-    for word in ("tables", "context", "static buffers", "stack", "heap", "0 bytes", "ms"):
-        assert word in done.output
-    made = subprocess.run(["make", "-C", str(tmp_path / "c")], capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stderr
-    assert (tmp_path / "c" / "solve").exists()
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "said"),
-    [
-        ("--max-separation", "40", "6.10"),
-        ("--fov", "9", "--fov"),
-        ("--size", "9", "--size"),
-        ("--declination", "90", "--declination"),
-        ("--magnitude-limit", "-3", "three"),
-        ("--tolerance", "12", "16-bit"),
-        ("--prefix", "9a", "--prefix"),
-        ("--prefix", "double_", "--prefix"),
-        ("--centroid-error", "0", "centroid error"),
-        ("--centroid-error", "nan", "centroid error"),
-        ("--false-alarm-rate", "0", "false-alarm rate"),
-        ("--false-alarm-rate", "2", "false-alarm rate"),
-        ("--resolution", "-1", "resolution"),
-        ("--size", "2000x300", "1022"),
-        ("--fov", "0.1x0.1", "focal"),
-    ],
-)
-def test_mistakes(tmp_path, option, value, said):
-    done = CliRunner().invoke(app, ["export-c", str(tmp_path / "c"), option, value])
-    assert isinstance(done.exception, InputError)
-    assert said in str(done.exception)
 
 
 def test_only_integers_are_exported(stars, tracker):

@@ -111,8 +111,6 @@ def test_two_stages_cannot_define_the_same(design):
         ),
         (("--scenario", "tc211", "--prefix", "9a"), "--prefix"),
         (("--scenario", "tc211", "--set", "optics.apertur_mm=3"), "optics.aperture_mm"),
-        (("--arithmetic", "float"), "--arithmetic: has no effect without --scenario"),
-        (("--set", "a=3"), "--set: has no effect without --scenario"),
     ],
 )
 def test_mistakes_are_one_line(tmp_path, arguments, said):
