@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from benchmarks.flight_lists import FIELDS, Field, field_list, null_list
-from benchmarks.integer_lists import PATTERNS
+from benchmarks.pattern_lists import PATTERNS
 from simulator.randomness import stream
 from simulator.study.exported_c.build import Build, compile_export
 from startracker import Camera, StarTracker

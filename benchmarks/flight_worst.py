@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from benchmarks.flight_lists import FIELDS, field_list, null_list
 from benchmarks.frames import CASES as FRAME_CASES
 from benchmarks.frames import Bench
-from benchmarks.integer_lists import PATTERNS
+from benchmarks.pattern_lists import PATTERNS
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
 import tempfile
-import time
 import warnings
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -19,16 +17,13 @@ from simulator.cli.c_files import compiled_here, memory_table, write_export
 from simulator.cli.centroid_list import parse_size
 from simulator.cli.requests import ExportRequest
 from simulator.study.exported_c.build import Build
-from simulator.study.flight.design import flight_design
+from simulator.study.flight.design import camera_design, flight_design
 from simulator.study.flight.program import list_text
-from startracker.catalog import load_catalog
-from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError, InputWarning
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import flight_export
 from startracker.flight.stars import StarList
 from startracker.flight.unit_scenes import SEED, scene_rows, unit_field, unit_scenes
-from startracker.geometry.camera import Camera
 from startracker.settings import IdentificationSettings, TriadSettings
 
 _ALWAYS = ("out", "prefix", "source", "scenario", "arithmetic", "identifier")
@@ -123,17 +118,15 @@ def _camera_design(request: ExportRequest) -> FlightDesign:
     size, fov = parse_size(request.size), parse_pair(request.fov, "--fov", "x")
     if not all(0.0 < angle < 90.0 for angle in fov):
         raise InputError(f"--fov: must be between 0° and 90° across and down, not {fov[0]:g} by {fov[1]:g}")
-    low, high = parse_pair(request.declination, "--declination", ":")
-    fx, fy = (n / 2.0 / math.tan(math.radians(angle) / 2.0) for n, angle in zip(size, fov, strict=True))
-    camera = Camera(fx, fy, (size[0] - 1) / 2.0, (size[1] - 1) / 2.0, *size)
     identifier = request.identifier or "triads"
-    settings = _settings(request, identifier)
-    catalog = load_catalog("bsc5")
-    declination = np.degrees(catalog.dec_rad)
-    catalog = catalog.select((declination >= low) & (declination <= high))
-    guide = GuideDatabase.build(catalog, camera, request.magnitude_limit, settings)
-    return FlightDesign(
-        camera, guide, identification=settings, arithmetic=request.arithmetic or "fixed", identifier=identifier
+    return camera_design(
+        size,
+        fov,
+        _settings(request, identifier),
+        identifier,
+        request.arithmetic or "fixed",
+        parse_pair(request.declination, "--declination", ":"),
+        request.magnitude_limit,
     )
 
 
@@ -154,7 +147,7 @@ def _settings(request: ExportRequest, identifier: str) -> IdentificationSettings
 def _frame_time_s(build: Build, design: FlightDesign) -> float:
     """Seconds of a frame."""
     frame = scene_rows(design, unit_scenes(design)[0], SEED).astype("<u2").tobytes()
-    return _time_s(build, frame, _TIMED_FRAMES, "frames")
+    return build.time_s(frame, _TIMED_FRAMES, "frames")
 
 
 def _list_time_s(build: Build, design: FlightDesign) -> float:
@@ -164,14 +157,4 @@ def _list_time_s(build: Build, design: FlightDesign) -> float:
         field = unit_field(design, index)
         flux = 4000.0 * 10.0 ** (-0.4 * field.v_mag)
         lists += list_text(StarList.of(field.xy, flux, np.full(len(flux), _LIST_SIGMA_PX**2)))
-    return _time_s(build, lists.encode(), _REPETITIONS, "stars") / _TIMED_LISTS
-
-
-def _time_s(build: Build, data: bytes, times: int, mode: str) -> float:
-    """Seconds that the program needs for an input, from runs with it once and `times` more."""
-    spent = []
-    for count in (1, 1 + times):
-        begun = time.perf_counter()
-        build.run(data * count, mode)
-        spent.append(time.perf_counter() - begun)
-    return max(spent[1] - spent[0], 0.0) / times
+    return build.time_s(lists.encode(), _REPETITIONS, "stars") / _TIMED_LISTS

@@ -17,7 +17,6 @@ from startracker.catalog.guide import GuideDatabase, brightest_everywhere
 from startracker.catalog.sky_view import field_shape
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.fixed_point.evidence import LOG_BITS
 from startracker.fixed_point.vectors import DIRECTION
 from startracker.flight.apparent import epoch_of, guide_motion
 from startracker.flight.design import FlightDesign
@@ -35,6 +34,8 @@ from startracker.identification.bayes_factor import (
 from startracker.identification.verification import MOST_EXTRA
 from startracker.settings.identification import AdaptiveSettings
 
+LOG_BITS = 12
+"""Fraction bits of logarithms to base 2."""
 DIRECTION_BITS, MAGNITUDE_BITS, DENSITY_BITS, CROWD_BITS, COUNT_BITS = 30, 6, 20, 30, 6
 """Fraction bits of directions, magnitudes, densities of magnitudes, the kernel of the crowding, and of the logarithms
 in the large tables of counts."""
@@ -114,7 +115,8 @@ class SearchTables(NamedTuple):
     distracting: IntArray
     seeing: IntArray
     total: IntArray
-    """As in `startracker.fixed_point.evidence.Tables`, 6 fraction bits."""
+    """log₂ of weights, 6 fraction bits: of k false stars (N + 1,); of m stars detected and k not (N + 1, depth + 1); of
+    all assignments of n stars to up to k guide stars (N + 1, depth + 1)."""
     log_scale2: IntArray
     quadratic: IntArray
     log_volume: IntArray

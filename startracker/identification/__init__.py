@@ -10,8 +10,7 @@ adaptive            first triangles (`triangles`), then votes (`pole_votes`, pla
 match_groups        with the kernels in `match_kernels`
 pyramid             with the k-vector in `pairs`
 pattern_hash        with the kernels in `pattern_kernels` and the table in `pattern_table`
-triads              `triad_tables`, `triad_search`, `triad_votes`, for each `arithmetic`; the integer tracker of the C
-                    export is `integer_solution`, its tables `integer_acceptance`
+triads              `triad_tables`, `triad_search`, `triad_votes`, for each `arithmetic`
 unknown scale       `free_scale` and `last_fit`, over the patterns of `quads`; see `startracker.blind`
 known attitude      `startracker.estimation.association` of centroids and guide stars
 ==================  ==================================================================================================
