@@ -272,6 +272,8 @@ def _build(
     flat = _check_table(tree, ScenarioModel, "", Location(top.source), problems)
     # Rules and checks run even if there are invalid values, which are missing in `flat`, so that everything is reported
     # at once.
+    for problem in _replaced(tree, flat):
+        warnings.warn(str(problem), InputWarning, stacklevel=3)
     allowed = flat.get("allow_unphysical", False)
     for violation in heads.all_violations(flat):
         if not (violation.overridable and allowed):
@@ -285,6 +287,16 @@ def _build(
     for problem in _unread(tree, flat):
         warnings.warn(str(problem), InputWarning, stacklevel=3)
     return cls.model_validate(nest(flat))
+
+
+def _replaced(tree: Table, flat: dict[str, Any]) -> list[Problem]:
+    """Values that have become others, which replace them in `flat`."""
+    key = "tracker.identifier"
+    if flat.get(key) != "triads_integer":
+        return []
+    flat[key], flat["tracker.engine"] = "triads", "flight"
+    message = "'triads_integer' is the flight build now: used as tracker.engine: flight with tracker.identifier: triads"
+    return [Problem(_location_of(tree, key), key, message)]
 
 
 def _unread(tree: Table, flat: Mapping[str, Any]) -> list[Problem]:

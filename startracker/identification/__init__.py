@@ -26,7 +26,7 @@ from startracker.identification.match_groups import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_hash import pattern_hash
 from startracker.identification.pyramid import pyramid
-from startracker.identification.triads import triads, triads_integer
+from startracker.identification.triads import triads
 from startracker.settings import IdentificationSettings
 
 Identifier = Callable[[Observed, GuideDatabase, IdentificationSettings, Prior | None], Identification]
@@ -37,7 +37,6 @@ METHODS: dict[str, Identifier] = {
     "pyramid": pyramid,
     "pattern_hash": pattern_hash,
     "triads": triads,
-    "triads_integer": triads_integer,
 }
 
 __all__ = [
@@ -51,7 +50,6 @@ __all__ = [
     "pattern_hash",
     "pyramid",
     "triads",
-    "triads_integer",
 ]
 
 

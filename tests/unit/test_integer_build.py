@@ -10,13 +10,8 @@ from simulator.study.exported_c.targets import HOST, M68K, Target
 from simulator.theses.yee1999 import SECTIONS
 from simulator.theses.yee1999.integer_build import attitude_differences
 from startracker import Camera
-from startracker.catalog import load_catalog
-from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
 from startracker.flight.c_text import CExport
-from startracker.geometry.attitude import Attitude
-from startracker.identification import METHODS, Observed
-from startracker.solution import Status
 
 pytestmark = pytest.mark.system
 
@@ -81,33 +76,3 @@ def test_compilers_that_are_not_there_or_refuse(tmp_path):
     if HOST.missing() is None:
         with pytest.raises(InputError, match="gcc"):
             compile_export(export, tmp_path)
-
-
-def test_identifier_of_the_tracker():
-    guide = GuideDatabase.build(load_catalog("hipparcos"), CAMERA, 6.0)
-    rng = np.random.default_rng(5)
-    solved = 0
-    for _ in range(8):
-        attitude = Attitude(rng.normal(size=4), "icrs", "camera")
-        index, _, xy = guide.in_field(attitude.as_matrix(), 0.0, CAMERA)
-        xy = np.vstack([xy + rng.normal(0, 0.1, xy.shape), rng.uniform(0, 511, (2, 2))])
-        flux = np.append(10.0 ** (-0.4 * guide.v_mag[index]), [1e-3, 5e-4])
-        order = np.argsort(-flux)
-        observed = Observed(CAMERA.unproject(xy[order]), flux[order], np.full(len(xy), 0.15 * CAMERA.pixel_rad))
-        ours = METHODS["triads_integer"](observed, guide)
-        theirs = METHODS["triads"](observed, guide)
-        assert ours.status == theirs.status
-        if ours.status is Status.SOLVED:
-            solved += 1
-            assert ours.pairs.tolist() == theirs.pairs.tolist()
-            assert all(index[order[star]] == place for star, place in ours.pairs if order[star] < len(index))
-    assert solved >= 7
-
-
-def test_identifier_says_what_overflowed():
-    guide = GuideDatabase.build(load_catalog("bsc5"), CAMERA, 4.0)
-    wide = np.array([[0.97, 0.0, 0.2431], [0.0, 0.1, 0.995], [0.1, 0.0, 0.995], [0.1, 0.1, 0.99]])
-    observed = Observed(wide, None, np.full(4, 1e-4))
-    assert METHODS["triads_integer"](observed, guide).status in {Status.NO_MATCH, Status.AMBIGUOUS}
-    few = Observed(wide[:2], None, np.full(2, 1e-4))
-    assert METHODS["triads_integer"](few, guide).status is Status.TOO_FEW_STARS

@@ -21,9 +21,6 @@ from startracker.settings import TrackingSettings
 from startracker.settings.identification import IdentificationSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
 
-_TRIADS = ("triads", "triads_integer")
-"""Identifiers of the star tracker that a flight build has as ``triads``."""
-
 
 def flight_design(
     scenario: Scenario, arithmetic: str | None = None, identifier: str | None = None, renderer: Renderer | None = None
@@ -47,7 +44,7 @@ def flight_design(
         For an unknown arithmetic or identifier, or a camera that cannot be built.
     """
     if identifier is None:
-        identifier = "triads" if scenario.tracker.identifier in _TRIADS else "adaptive"
+        identifier = "triads" if scenario.tracker.identifier == "triads" else "adaptive"
     renderer = renderer or Renderer(scenario)
     tracker = build_tracker(scenario, renderer.camera)
     psf = renderer.focal_plane.psfs.psf()
@@ -121,7 +118,7 @@ def _motion(section: SequenceSection) -> RateNoise | GyroNoise:
 
 def _identification(scenario: Scenario, settings: IdentificationSettings, identifier: str) -> IdentificationSettings:
     """Settings of the scenario's identifier; those that all methods share if the flight build has another one."""
-    if identifier == scenario.tracker.identifier or (identifier == "triads" and scenario.tracker.identifier in _TRIADS):
+    if identifier == scenario.tracker.identifier:
         return settings
     shared = {one.name: getattr(settings, one.name) for one in dataclasses.fields(IdentificationSettings)}
     return IdentificationSettings(**shared)
