@@ -1,7 +1,7 @@
 """Files of a flight build: C sources, tables, build files, example, unit tests, fuzzers, and what a team reads.
 
-The stages' modules give their constants and arrays (`Part`); their sources are in ``c/`` here, in its folder of the
-identifier, and in ``startracker/fixed_point/c``. All else is in ``package/``. In every file ``tracker_`` and
+The stages' modules give their constants and arrays (`Part`); their sources are in ``c/`` here and in its folder of the
+identifier. All else is in ``package/``. In every file ``tracker_`` and
 ``TRACKER_`` become the prefix, and ``@WORD@`` the value of the word; what only frames need is left out of a build from
 centroids (`for_input`).
 """
@@ -169,7 +169,7 @@ def _folder(package: str, name: str) -> Traversable:
 def _source(name: str, design: FlightDesign) -> str:
     """Text of a source or header, from the first folder that has it, for frames or for lists only."""
     flight = _folder("startracker.flight", "c")
-    for folder in (flight / design.identifier, flight, _folder("startracker.fixed_point", "c")):
+    for folder in (flight / design.identifier, flight):
         file = folder / name
         if file.is_file():
             return for_input(file.read_text("utf-8"), design.takes_frames)

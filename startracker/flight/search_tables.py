@@ -17,9 +17,9 @@ from startracker.catalog.guide import GuideDatabase, brightest_everywhere
 from startracker.catalog.sky_view import field_shape
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.fixed_point.vectors import DIRECTION
 from startracker.flight.apparent import epoch_of, guide_motion
 from startracker.flight.design import FlightDesign
+from startracker.flight.integers import DIRECTION_BITS, rounded
 from startracker.flight.search_plan import QUICK, SEARCHES, Search, triad_searches
 from startracker.flight.triad_numbers import TriadNumbers, triad_numbers
 from startracker.identification.bayes_factor import (
@@ -36,8 +36,8 @@ from startracker.settings.identification import AdaptiveSettings
 
 LOG_BITS = 12
 """Fraction bits of logarithms to base 2."""
-DIRECTION_BITS, MAGNITUDE_BITS, DENSITY_BITS, CROWD_BITS, COUNT_BITS = 30, 6, 20, 30, 6
-"""Fraction bits of directions, magnitudes, densities of magnitudes, the kernel of the crowding, and of the logarithms
+MAGNITUDE_BITS, DENSITY_BITS, CROWD_BITS, COUNT_BITS = 6, 20, 30, 6
+"""Fraction bits of magnitudes, densities of magnitudes, the kernel of the crowding, and of the logarithms
 in the large tables of counts."""
 PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD = 0.3, 0.8, 14
 """Largest separation of the pairs, of the field's diagonal; that of pairs of the brightest stars everywhere, so many in
@@ -168,11 +168,11 @@ def search_tables(design: FlightDesign) -> SearchTables:
     guide, triads = design.guide, triad_numbers(design) if design.identifier == "triads" else None
     if not 3 <= len(guide) < 1 << 15:
         raise InputError(f"a flight build holds 3 to 32767 guide stars, not {len(guide)}; change the magnitude limit")
-    directions = DIRECTION.encode(guide.directions, rounded=True)
+    directions = rounded(guide.directions, DIRECTION_BITS)
     most = design.detection.max_stars
     depths = 2 * most + MOST_EXTRA
     shape = field_shape(design.camera)
-    axes = DIRECTION.encode(shape.axes, rounded=True)
+    axes = rounded(shape.axes, DIRECTION_BITS)
     outline = _outline(shape.least_cosine)
     settings = design.identification
     log_area = math.log2(guide.solid_angle_sr) + 2 * DIRECTION_BITS

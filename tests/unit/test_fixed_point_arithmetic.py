@@ -8,10 +8,10 @@ import pytest
 from simulator.randomness import stream
 from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.centroid_lists import centroid_list
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
+from simulator.theses.yee1999.fixed_point.formats import FixedPointOverflow, integers
+from simulator.theses.yee1999.fixed_point.wide import WideArithmetic
 from simulator.theses.yee1999.picture import vega
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.formats import FixedPointOverflow, integers
-from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.arithmetic import FloatArithmetic
 from startracker.identification.triad_search import TriadLimits, image_pairs
 from startracker.identification.triad_tables import TriadTables

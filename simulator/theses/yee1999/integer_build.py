@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -24,16 +25,16 @@ from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import sub_catalog
 from simulator.theses.yee1999.centroid_lists import centroid_list
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
+from simulator.theses.yee1999.fixed_point.centroid import running_centroid
+from simulator.theses.yee1999.fixed_point.formats import CENTROID
+from simulator.theses.yee1999.fixed_point.tables import enclosed_table
 from simulator.theses.yee1999.integers import fixed_centroids
 from simulator.theses.yee1999.picture import VEGA_FOV_DEG, VEGA_SIZE_PX, Picture, vega
 from startracker import StarTracker
 from startracker._compiled import clock
 from startracker.core import FloatArray
 from startracker.estimation.plate import solve_plate
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.centroid import running_centroid
-from startracker.fixed_point.formats import CENTROID
-from startracker.fixed_point.tables import enclosed_table
 from startracker.flight.c_text import CExport
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import flight_export
@@ -177,7 +178,7 @@ def match_floating(
         solve_plate(picture.xy_px[best.pairs[:, 0]], sub_catalog(4).sky_deg[best.pairs[:, 1]])
 
 
-def measured(export: CExport, target: Target | None, measure: Callable[[Build], float]) -> list[Values]:
+def measured(export: CExport, target: Target | None, measure: Callable[[Build], Any]) -> list[Values]:
     """An export compiled for a target, and its measured value; None if its compiler is not installed."""
     if target is None or target.missing() is not None:
         return []

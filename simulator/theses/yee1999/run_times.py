@@ -17,6 +17,7 @@ from simulator.study.exported_c.targets import M68K, native_compiler
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
 from simulator.theses.yee1999.integer_build import (
     MAX_SEPARATION_DEG,
     best_ms,
@@ -26,7 +27,6 @@ from simulator.theses.yee1999.integer_build import (
     star_text,
 )
 from simulator.theses.yee1999.picture import Picture, deneb, vega
-from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import flight_export
 from startracker.settings import TriadSettings

@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.fixed_point.formats import ANGLE, COSINE, SEPARATION, Format, Integers, integers
+from simulator.theses.yee1999.fixed_point.formats import ANGLE, COSINE, SEPARATION, Format, integers
+from startracker.flight.integers import Integers
 
 
 @lru_cache
