@@ -27,8 +27,6 @@ class CExport:
     """Array name to size in bytes."""
     modules: tuple[str, ...] = ()
     """Sources of the solver besides the tables: ``<prefix>_<module>.c``."""
-    most_steps: int = 0
-    """Maximum number of comparisons of catalogue pairs in the search for triads."""
 
 
 def check_prefix(prefix: str) -> None:
