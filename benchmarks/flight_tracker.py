@@ -143,9 +143,12 @@ def make_vega(identifier: str, rate: float, folder: Path) -> Target:
     size_px, fov_deg, declination_deg, limit = VEGA
     settings = settings_of(identifier, IdentificationSettings(false_alarm_rate=rate))
     design = camera_design(size_px, fov_deg, settings, identifier, "fixed", declination_deg, limit)
-    common = {"magnitude_limit": limit, "identifier": identifier, "identification": settings}
-    tracker = StarTracker(design.camera, catalog=design.guide.catalog, **common)
-    sky = StarTracker(design.camera, catalog="bsc5", **common)
+    tracker, sky = (
+        StarTracker(
+            design.camera, catalog=catalog, magnitude_limit=limit, identifier=identifier, identification=settings
+        )
+        for catalog in (design.guide.catalog, "bsc5")
+    )
     return Target(tracker, sky, compile_export(flight_export(design), folder), LARGEST_VEGA_DEG)
 
 
