@@ -21,7 +21,7 @@ from startracker.errors import InputError
 from startracker.geometry.attitude import radec_to_direction
 
 Numbers: TypeAlias = NDArray[Any]
-"""Values in an arithmetic's own format: float64 degrees in floating point, int64 in the integer build."""
+"""Values in an arithmetic's own format: float64 degrees in floating point, int64 in the integers of the thesis."""
 
 
 class Arithmetic(Protocol):

@@ -1,4 +1,4 @@
-"""Tables of the integer tracker, computed once in floating point and stored as integers (Yee 1999, section 3.3)."""
+"""Tables of the integer program, computed once in floating point and stored as integers (Yee 1999, section 3.3)."""
 
 from __future__ import annotations
 
