@@ -28,9 +28,9 @@ import numpy as np
 from benchmarks.flight_fuzz_seeds import SEEDS
 from simulator.study.exported_c.fuzz import FuzzResult, build_fuzzers, run_fuzzer
 from startracker import Camera, DetectionSettings, StarTracker
+from startracker.flight.c_text import CExport
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import Part, assemble, flight_parts, flight_tables
-from startracker.integer_export import CExport
 
 LONGEST = {"front": 300, "frames": 300, "stars": 120, "search": 120, "pose": 120, "filter": 196, "session": 336}
 """Fuzzers, and their longest inputs, bytes."""

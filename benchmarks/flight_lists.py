@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.integer_lists import Camera as Pinhole
-from benchmarks.integer_lists import Pattern, pattern_list
+from benchmarks.pattern_lists import Pattern, pattern_list
 from startracker import StarTracker
 from startracker.core import FloatArray, IntArray
 from startracker.flight.stars import StarList
@@ -82,8 +81,7 @@ def null_list(tracker: StarTracker, pattern: Pattern, rng: np.random.Generator) 
     """Points that are not a sky, with random brightness and stated errors of 0.05 to 1 px; of a third the brightness is
     not known."""
     size = (tracker.camera.width, tracker.camera.height)
-    pinhole = Pinhole((tracker.camera.fov_deg,) * 2, size)
-    xy = pattern_list(pattern, pinhole, rng, int(rng.integers(4, MOST + 1))) * (1.0, -1.0)
+    xy = pattern_list(pattern, size, rng, int(rng.integers(4, MOST + 1))) * (1.0, -1.0)
     xy = xy + 0.5 * (np.array(size) - 1.0)
     flux = np.sort(rng.lognormal(6.0, 1.2, len(xy)))[::-1] * float(rng.random() < 2.0 / 3.0)
     return StarList.of(xy, flux, np.full(len(xy), float(10.0 ** rng.uniform(-1.3, 0.0)) ** 2))

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from benchmarks.flight_lists import FIELDS, field_list, null_list
 from benchmarks.frames import CASES as FRAME_CASES
 from benchmarks.frames import Bench
-from benchmarks.integer_lists import PATTERNS
+from benchmarks.pattern_lists import PATTERNS
 from simulator.randomness import stream
 from simulator.renderer import Renderer
 from simulator.scenario import Scenario
@@ -35,8 +35,8 @@ from simulator.study.flight.program import frame_bytes, list_text
 from simulator.study.star_tracker import build_tracker
 from startracker import StarTracker
 from startracker.core import FloatArray
+from startracker.flight.c_text import CExport
 from startracker.flight.export import flight_export
-from startracker.integer_export import CExport
 
 SCENARIOS = Path(__file__).resolve().parent.parent / "scenarios"
 SEED = 25

@@ -274,7 +274,6 @@ AREAS = {
             "unit/test_acceptance",
             "unit/test_around_prior",
             "unit/test_association",
-            "unit/test_integer_verification",
             "unit/test_flight_search",
             "unit/test_flight_triads",
             "*/test_fixed_point_arithmetic",

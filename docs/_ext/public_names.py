@@ -75,11 +75,6 @@ GROUPS = {
         "startracker.TrackingSettings",
         "startracker.InFlightSettings",
     ],
-    "Integers": [
-        "startracker.identification.integer_solution.IntegerCamera",
-        "startracker.identification.integer_solution.IntegerTracker",
-        "startracker.identification.integer_solution.solve_integers",
-    ],
     "Stimulator": [
         "simulator.live.stimulator.Stimulator",
         "simulator.live.stimulator.DisplayPicture",

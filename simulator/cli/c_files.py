@@ -9,7 +9,7 @@ from rich.table import Table
 from simulator.paths import make_folder, write_atomically
 from simulator.study.exported_c.build import Build, compile_export
 from simulator.study.exported_c.targets import native_compiler
-from startracker.integer_export import CExport
+from startracker.flight.c_text import CExport
 
 
 def write_export(export: CExport, out: Path) -> Path:

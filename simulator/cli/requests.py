@@ -299,18 +299,35 @@ class CalibrateRequest:
     ] = None
 
 
-_FLIGHT, _TRIADS = "Flight build of a scenario", "Integer tracker for centroids"
+_SCENARIO, _CAMERA = "Camera of a scenario", "Camera without a scenario"
 
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """Write a star tracker as C99 source with its tables, and print its memory and time.
+    """Write the star tracker of one camera as C99 source with its tables, and print its memory and time.
 
-    With --scenario: the tracker of that camera, from rows of pixels to attitude. Without: triads, from centroids.
+    From rows of pixels to attitude, or from centroids. With --scenario for the camera of a scenario; without it from
+    centroids, for a camera without distortion and the stars of the Bright Star Catalogue.
     """
 
     out: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the source.", show_default=False)]
     prefix: Annotated[str, option("--prefix", "NAME", "Prefix of all names in the C source.")] = "tracker"
+    source: Annotated[
+        str | None,
+        option("--from", "KIND", "frames or centroids; default: frames with --scenario, else centroids."),
+    ] = None
+    arithmetic: Annotated[
+        str | None,
+        option(
+            "--arithmetic",
+            "KIND",
+            "fixed: integers; float: attitude in single precision; default: as in the scenario, else fixed.",
+        ),
+    ] = None
+    identifier: Annotated[
+        str | None,
+        option("--identifier", "NAME", "adaptive or triads; default: as in the scenario, else triads."),
+    ] = None
     scenario: Annotated[
         Path | None,
         typer.Option(
@@ -318,50 +335,33 @@ class ExportRequest:
             metavar="SCENARIO",
             help="Scenario YAML, or an included scenario by name.",
             autocompletion=complete_scenario,
-            rich_help_panel=_FLIGHT,
+            rich_help_panel=_SCENARIO,
         ),
     ] = None
     set_values: SetValues = None
-    arithmetic: Annotated[
-        str | None,
-        option(
-            "--arithmetic",
-            "KIND",
-            "fixed: integers; float: attitude in single precision; default: as in the scenario.",
-            _FLIGHT,
-        ),
-    ] = None
-    identifier: Annotated[
-        str | None,
-        option(
-            "--identifier",
-            "NAME",
-            "adaptive or triads; default: the scenario's if it is triads, else adaptive.",
-            _FLIGHT,
-        ),
-    ] = None
-    size: Annotated[str, option("--size", "WxH", "Image size, pixels.", _TRIADS)] = "427x319"
-    fov: Annotated[str, option("--fov", "WxH", "Field of view, degrees.", _TRIADS)] = "9.0130x6.9049"
-    declination: Annotated[str, option("--declination", "A:B", "Range of declinations, degrees.", _TRIADS)] = "30:90"
-    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Magnitude of the faintest star.", _TRIADS)] = (
+    size: Annotated[str, option("--size", "WxH", "Image size, pixels.", _CAMERA)] = "427x319"
+    fov: Annotated[str, option("--fov", "WxH", "Field of view, degrees.", _CAMERA)] = "9.0130x6.9049"
+    declination: Annotated[str, option("--declination", "A:B", "Range of declinations, degrees.", _CAMERA)] = "30:90"
+    magnitude_limit: Annotated[float, option("--magnitude-limit", "V", "Magnitude of the faintest star.", _CAMERA)] = (
         6.0
     )
-    max_separation_deg: Annotated[
-        float, option("--max-separation", "DEG", "Maximum separation of a pair of stars.", _TRIADS)
-    ] = 12.0
-    tolerance_deg: Annotated[float, option("--tolerance", "DEG", "Tolerance of separations.", _TRIADS)] = 0.15
+    false_alarm_rate: Annotated[
+        float, option("--false-alarm-rate", "P", "Maximum false-alarm probability.", _CAMERA)
+    ] = 1e-7
+    tolerance_deg: Annotated[
+        float | None,
+        option("--tolerance", "DEG", "Triads: tolerance of separations; default: from the stars' errors.", _CAMERA),
+    ] = None
     rotation_tolerance_deg: Annotated[
-        float, option("--rotation-tolerance", "DEG", "Tolerance of rotations and of their groups.", _TRIADS)
+        float, option("--rotation-tolerance", "DEG", "Triads: tolerance of rotations and of their groups.", _CAMERA)
     ] = 5.0
     enclosed_tolerance_deg: Annotated[
-        float, option("--enclosed-tolerance", "DEG", "Tolerance of inner angles; 0: no test.", _TRIADS)
+        float, option("--enclosed-tolerance", "DEG", "Triads: tolerance of inner angles; 0: no test.", _CAMERA)
     ] = 1.0
-    vote_number: Annotated[int, option("--vote-number", "N", "Minimum number of votes for a star.", _TRIADS)] = 2
-    centroid_error_px: Annotated[
-        float, option("--centroid-error", "PX", "Standard error of a centroid on one axis.", _TRIADS)
-    ] = 0.3
-    false_alarm_rate: Annotated[
-        float, option("--false-alarm-rate", "P", "Maximum false-alarm probability.", _TRIADS)
-    ] = 1e-7
-    resolution_px: Annotated[float, option("--resolution", "PX", "Stars closer than this are merged.", _TRIADS)] = 3.0
-    edition: Annotated[int, option("--edition", "N", "Edition of the Bright Star Catalogue, 4 or 5.", _TRIADS)] = 5
+    vote_number: Annotated[
+        int, option("--vote-number", "N", "Triads: minimum number of votes for a star.", _CAMERA)
+    ] = 2
+    max_separation_deg: Annotated[float | None, typer.Option("--max-separation", hidden=True)] = None
+    centroid_error_px: Annotated[float | None, typer.Option("--centroid-error", hidden=True)] = None
+    resolution_px: Annotated[float | None, typer.Option("--resolution", hidden=True)] = None
+    edition: Annotated[int | None, typer.Option("--edition", hidden=True)] = None

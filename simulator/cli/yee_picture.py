@@ -17,10 +17,10 @@ from simulator.cli.printed_command import WIDTH, PictureRequest, finish
 from simulator.cli.terminal import open_console, print_table
 from simulator.paths import write_atomically
 from simulator.theses.yee1999.catalogue import EDITIONS
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
+from simulator.theses.yee1999.fixed_point.formats import FixedPointOverflow
 from simulator.theses.yee1999.picture import Analysis, Options, Picture, analyse, centred, step_tables, vega
 from startracker.errors import InputError
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.formats import FixedPointOverflow
 from startracker.identification.triad_search import TriadLimits
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from startracker.settings import AdaptiveSettings, CentroidSettings, DetectionSe
 _METHODS = {
     "tracker.detector": ("components",),
     "tracker.centroider": ("maximum_likelihood",),
-    "tracker.identifier": ("adaptive", "triads", "triads_integer"),
+    "tracker.identifier": ("adaptive", "triads"),
     "tracker.estimator": ("field_fit",),
 }
 """Methods that the flight build has, the default first."""

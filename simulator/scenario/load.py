@@ -309,6 +309,8 @@ def _build(
     flat = check_table(tree, ScenarioModel, "", Location(top.source), problems)
     # Rules and checks run even if there are invalid values, which are missing in `flat`, so that everything is reported
     # at once.
+    for problem in _replaced(tree, flat):
+        warnings.warn(str(problem), InputWarning, stacklevel=3)
     allowed = flat.get("allow_unphysical", False)
     for violation in heads.all_violations(flat):
         if not (violation.overridable and allowed):
@@ -324,6 +326,16 @@ def _build(
     scenario = cls.model_validate(nest(flat))
     scenario._locations = dict(locations_of(tree))
     return scenario
+
+
+def _replaced(tree: Table, flat: dict[str, Any]) -> list[Problem]:
+    """Values that have become others, which replace them in `flat`."""
+    key = "tracker.identifier"
+    if flat.get(key) != "triads_integer":
+        return []
+    flat[key], flat["tracker.engine"] = "triads", "flight"
+    message = "'triads_integer' is the flight build now: used as tracker.engine: flight with tracker.identifier: triads"
+    return [Problem(location_of(tree, key), key, message)]
 
 
 def _unread(tree: Table, flat: Mapping[str, Any]) -> list[Problem]:

@@ -81,7 +81,7 @@ class TrackerSection(Section):
     centroider: str = "moment"
     """``moment``, ``weighted_moment``, ``least_squares`` or ``maximum_likelihood``."""
     identifier: str = "adaptive"
-    """``adaptive``, ``match_groups``, ``pyramid``, ``pattern_hash``, ``triads`` or ``triads_integer``."""
+    """``adaptive``, ``match_groups``, ``pyramid``, ``pattern_hash`` or ``triads``."""
     estimator: str = "field_fit"
     """``field_fit``, ``svd``, ``davenport``, ``quest``, ``esoq2``, ``triad``, ``star_pair`` or ``plate_constants``."""
     prior: bool = True

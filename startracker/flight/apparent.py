@@ -10,7 +10,7 @@ import numpy as np
 
 from startracker.catalog.guide import GuideDatabase
 from startracker.errors import InputError
-from startracker.fixed_point.formats import Integers
+from startracker.flight.integers import Integers, rounded
 from startracker.observer import Observer
 
 EPOCH_BITS, MOTION_BITS = 16, 29
@@ -35,7 +35,7 @@ def guide_motion(guide: GuideDatabase) -> Integers:
     """
     before, after = (guide.apparent_to(Observer(guide.epoch_jyear + years)) for years in (-_SPAN_YEARS, _SPAN_YEARS))
     yearly = (after.directions - before.directions) / (2.0 * _SPAN_YEARS)
-    motion = np.rint(yearly * (1 << MOTION_BITS)).astype(np.int64)
+    motion = rounded(yearly, MOTION_BITS)
     if len(motion) and np.abs(motion).max() > np.iinfo(np.int16).max:
         fastest = guide.catalog.id[np.abs(motion).max(axis=1).argmax()]
         raise InputError(f"guide star {fastest} moves by more than 12.6″ a year, a flight build does not hold that")

@@ -47,9 +47,10 @@ class FlightDesign:
         Calibrated camera.
     guide : GuideDatabase
         Guide stars at the mission's epoch, without aberration, brightest first.
-    detector : DetectorNumbers
+    detector : DetectorNumbers, optional
+        None: the build has no front end and takes lists of centroids only, no frames.
     psf_sigma_px : float
-        Standard deviation of a Gaussian fitted to the star images, pixels.
+        Standard deviation of a Gaussian fitted to the star images, pixels; for the front end.
     detection, centroid, identification : settings
         Those of `StarTracker`.
     arithmetic : str
@@ -72,8 +73,8 @@ class FlightDesign:
 
     camera: Camera
     guide: GuideDatabase
-    detector: DetectorNumbers
-    psf_sigma_px: float
+    detector: DetectorNumbers | None = None
+    psf_sigma_px: float = 1.0
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     centroid: CentroidSettings = field(default_factory=CentroidSettings)
     identification: IdentificationSettings = field(default_factory=IdentificationSettings)
@@ -93,3 +94,21 @@ class FlightDesign:
             raise InputError(
                 f"a flight build needs pixels of at most {COARSEST_PIXEL_DEG}°, the camera's are {pixel_deg:.2f}°"
             )
+
+    @property
+    def takes_frames(self) -> bool:
+        """Whether the build has a front end."""
+        return self.detector is not None
+
+    @property
+    def front_detector(self) -> DetectorNumbers:
+        """Numbers of the detector for the front end.
+
+        Raises
+        ------
+        InputError
+            For a design without them.
+        """
+        if self.detector is None:
+            raise InputError("a flight build of frames needs the numbers of its detector; give DetectorNumbers")
+        return self.detector

@@ -18,10 +18,9 @@ from numpy.typing import ArrayLike
 
 from startracker.core import BoolArray, FloatArray
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
-from startracker.fixed_point.formats import Integers, divide
-from startracker.fixed_point.square_root import square_root
+from startracker.flight.c_table import CTable
 from startracker.flight.design import FlightDesign
+from startracker.flight.integers import Integers, divide, square_root
 from startracker.geometry.camera import Camera
 
 GRID_MODULES = ("integers", "directions")

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
-from startracker.fixed_point.formats import Integers
+from startracker.flight.c_table import CTable
+from startracker.flight.integers import Integers
 from startracker.settings import TrackingSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
 

@@ -14,7 +14,7 @@ from startracker.detection.matched import DEFAULT_SIGMA_PX, matched_kernel
 from startracker.detection.scan import kernel_half
 from startracker.detection.thresholds import SHARP_SHARE, SHARPEST_STARS_PX2, WIDEST_TRACK_PX2
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
+from startracker.flight.c_table import CTable
 from startracker.flight.design import FlightDesign
 from startracker.flight.stars import VARIANCE_BITS
 
@@ -159,8 +159,9 @@ def front_tables(design: FlightDesign) -> FrontTables:
     width, height, sigma = design.camera.width, design.camera.height, design.psf_sigma_px
     if min(width, height) < SMALLEST_SIDE or max(width, height) > LARGEST_SIDE:
         raise InputError(f"a flight build takes frames of 16 to 4096 pixels a side; the camera has {width} × {height}")
-    if not 2.0**-6 <= design.detector.gain_e_per_dn <= 2.0**14:
-        raise InputError(f"the gain is {design.detector.gain_e_per_dn:g} e/DN; a flight build takes 1/64 to 16384")
+    detector = design.front_detector
+    if not 2.0**-6 <= detector.gain_e_per_dn <= 2.0**14:
+        raise InputError(f"the gain is {detector.gain_e_per_dn:g} e/DN; a flight build takes 1/64 to 16384")
     detection, centroid = design.detection, design.centroid
     taps = _taps(detection.psf_sigma_px or DEFAULT_SIGMA_PX)
     whole, squares = int(2 * taps.sum() - taps[0]), int(2 * (taps**2).sum() - taps[0] ** 2)
@@ -175,7 +176,7 @@ def front_tables(design: FlightDesign) -> FrontTables:
     return FrontTables(
         width,
         height,
-        design.detector.saturation_dn,
+        detector.saturation_dn,
         detection.max_stars,
         detection.max_stars + detection.max_stars // 10,
         detection.max_pixels,
@@ -193,7 +194,7 @@ def front_tables(design: FlightDesign) -> FrontTables:
         np.rint(4096.0 * np.exp(-0.5 * distance**2 / SHAPE_VARIANCE_PX2)).astype(np.int64),
         min(centroid.window_px // 2, HALF),
         round(256 * (min(max(sigma, SMALLEST_SIGMA_PX), LARGEST_SIGMA_PX) ** 2 + _PIXEL_VARIANCE)),
-        round(2.0**44 / design.detector.gain_e_per_dn),
+        round(2.0**44 / detector.gain_e_per_dn),
         round(65536 * centroid.flat_field_error),
         round(variance * (_SYSTEMATIC_PX**2 + centroid.camera_model_px**2)),
     )

@@ -21,12 +21,11 @@ import numpy as np
 
 from startracker.errors import InputError
 from startracker.estimation.pose import FOCAL_SIGMA, FREE_FOCAL_SIGMA, SHEAR_SIGMA, SYSTEMATIC
-from startracker.fixed_point.c_table import CTable
-from startracker.fixed_point.formats import Integers
-from startracker.fixed_point.vectors import DIRECTION
 from startracker.flight.apparent import guide_motion
+from startracker.flight.c_table import CTable
 from startracker.flight.design import FlightDesign
 from startracker.flight.directions import GridTables, grid_tables, slopes_of
+from startracker.flight.integers import DIRECTION_BITS, Integers, rounded
 
 POSE_MODULES = ("integers", "arithmetic", "linear", "directions", "pose_fit", "pose")
 COVARIANCE_BITS = 60
@@ -96,7 +95,7 @@ def pose_tables(design: FlightDesign) -> PoseTables:
     share = (1.0 - math.cos(camera.half_diagonal_rad)) / 2.0
     one = float(1 << 36)
     return PoseTables(
-        DIRECTION.encode(guide.directions, rounded=True),
+        rounded(guide.directions, DIRECTION_BITS),
         guide_motion(guide),
         grid,
         fit_priors(float(1 << radius_bits)),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from startracker.fixed_point.c_table import CTable
-from startracker.fixed_point.cordic import STEPS_DEG
 from startracker.flight import apparent, search_plan, search_tables, triad_numbers
+from startracker.flight.c_table import CTable
+from startracker.flight.integers import ROTATION_STEPS
 from startracker.flight.search_tables import SearchTables
 from startracker.flight.triad_numbers import TriadNumbers, triad_constants
 
@@ -93,7 +93,7 @@ def _adaptive_constants(t: SearchTables) -> dict[str, int]:
 
 
 def _triad_constants(t: TriadNumbers) -> dict[str, int]:
-    return {"SEARCH_SIDE_STARS": t.stars, "ROTATIONS": len(STEPS_DEG), **triad_constants(t)}
+    return {"SEARCH_SIDE_STARS": t.stars, "ROTATIONS": len(ROTATION_STEPS), **triad_constants(t)}
 
 
 def _most_neighbours(t: SearchTables) -> int:
@@ -164,7 +164,7 @@ def search_arrays(t: SearchTables) -> list[CTable]:
         ("int32_t", "gate", "squares of the gates of the verification, 8 fraction bits", gates),
     ]
     needed = ("int32_t", "needed", "largest mean of matches by chance, 16 fraction bits", t.needed)
-    turns = ("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 fraction bits", np.array(STEPS_DEG))
+    turns = ("int64_t", "rotation_step", "arctangents of 2^-k, degrees, 40 fraction bits", np.array(ROTATION_STEPS))
     named.append(needed if t.triads is None else turns)
     return [
         CTable(type_, name if name.startswith(("guide_", "rotation_")) else f"search_{name}", meaning, values)

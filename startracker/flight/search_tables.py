@@ -17,10 +17,9 @@ from startracker.catalog.guide import GuideDatabase, brightest_everywhere
 from startracker.catalog.sky_view import field_shape
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.fixed_point.evidence import LOG_BITS
-from startracker.fixed_point.vectors import DIRECTION
 from startracker.flight.apparent import epoch_of, guide_motion
 from startracker.flight.design import FlightDesign
+from startracker.flight.integers import DIRECTION_BITS, rounded
 from startracker.flight.search_plan import QUICK, SEARCHES, Search, triad_searches
 from startracker.flight.triad_numbers import TriadNumbers, triad_numbers
 from startracker.identification.bayes_factor import (
@@ -35,8 +34,10 @@ from startracker.identification.bayes_factor import (
 from startracker.identification.verification import MOST_EXTRA
 from startracker.settings.identification import AdaptiveSettings
 
-DIRECTION_BITS, MAGNITUDE_BITS, DENSITY_BITS, CROWD_BITS, COUNT_BITS = 30, 6, 20, 30, 6
-"""Fraction bits of directions, magnitudes, densities of magnitudes, the kernel of the crowding, and of the logarithms
+LOG_BITS = 12
+"""Fraction bits of logarithms to base 2."""
+MAGNITUDE_BITS, DENSITY_BITS, CROWD_BITS, COUNT_BITS = 6, 20, 30, 6
+"""Fraction bits of magnitudes, densities of magnitudes, the kernel of the crowding, and of the logarithms
 in the large tables of counts."""
 PAIR_SHARE, BRIGHT_SHARE, BRIGHT_IN_FIELD = 0.3, 0.8, 14
 """Largest separation of the pairs, of the field's diagonal; that of pairs of the brightest stars everywhere, so many in
@@ -114,7 +115,8 @@ class SearchTables(NamedTuple):
     distracting: IntArray
     seeing: IntArray
     total: IntArray
-    """As in `startracker.fixed_point.evidence.Tables`, 6 fraction bits."""
+    """log₂ of weights, 6 fraction bits: of k false stars (N + 1,); of m stars detected and k not (N + 1, depth + 1); of
+    all assignments of n stars to up to k guide stars (N + 1, depth + 1)."""
     log_scale2: IntArray
     quadratic: IntArray
     log_volume: IntArray
@@ -166,11 +168,11 @@ def search_tables(design: FlightDesign) -> SearchTables:
     guide, triads = design.guide, triad_numbers(design) if design.identifier == "triads" else None
     if not 3 <= len(guide) < 1 << 15:
         raise InputError(f"a flight build holds 3 to 32767 guide stars, not {len(guide)}; change the magnitude limit")
-    directions = DIRECTION.encode(guide.directions, rounded=True)
+    directions = rounded(guide.directions, DIRECTION_BITS)
     most = design.detection.max_stars
     depths = 2 * most + MOST_EXTRA
     shape = field_shape(design.camera)
-    axes = DIRECTION.encode(shape.axes, rounded=True)
+    axes = rounded(shape.axes, DIRECTION_BITS)
     outline = _outline(shape.least_cosine)
     settings = design.identification
     log_area = math.log2(guide.solid_angle_sr) + 2 * DIRECTION_BITS

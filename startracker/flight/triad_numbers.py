@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 from startracker.errors import InputError
-from startracker.fixed_point.formats import ANGLE
 from startracker.flight.design import FlightDesign
+from startracker.flight.integers import ANGLE_BITS
 from startracker.identification.acceptance import WIDEST_SHARE
 from startracker.settings.identification import TriadSettings
 
@@ -73,7 +73,7 @@ def triad_numbers(design: FlightDesign) -> TriadNumbers:
 
 def _angle(degrees: float) -> int:
     """Of 10.6, truncated; beyond half a turn there is no difference."""
-    return int(ANGLE.encode(min(degrees, 180.0)))
+    return int(min(degrees, 180.0) * (1 << ANGLE_BITS))
 
 
 def triad_constants(t: TriadNumbers) -> dict[str, int]:

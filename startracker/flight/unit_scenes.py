@@ -129,11 +129,10 @@ def scene_numbers(design: FlightDesign) -> SceneNumbers:
     sigma = max(design.psf_sigma_px, 0.4)
     offset = np.arange(REACH * EIGHTHS) / EIGHTHS
     profile = np.rint((1 << 15) * np.exp(-0.5 * (offset / sigma) ** 2)).astype(np.int64)
-    noise_dn = max(design.detector.read_noise_e / design.detector.gain_e_per_dn, 1.0)
+    detector = design.front_detector
+    noise_dn = max(detector.read_noise_e / detector.gain_e_per_dn, 1.0)
     # the sum of four even values of 0 to 1 has a standard deviation of 0.58
-    return SceneNumbers(
-        round(8 * noise_dn) + 20, max(2, round(noise_dn / 0.58)), design.detector.saturation_dn, profile
-    )
+    return SceneNumbers(round(8 * noise_dn) + 20, max(2, round(noise_dn / 0.58)), detector.saturation_dn, profile)
 
 
 def unit_scenes(design: FlightDesign) -> list[UnitScene]:

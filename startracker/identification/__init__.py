@@ -10,8 +10,7 @@ adaptive            first triangles (`triangles`), then votes (`pole_votes`, pla
 match_groups        with the kernels in `match_kernels`
 pyramid             with the k-vector in `pairs`
 pattern_hash        with the kernels in `pattern_kernels` and the table in `pattern_table`
-triads              `triad_tables`, `triad_search`, `triad_votes`, for each `arithmetic`; the integer tracker of the C
-                    export is `integer_solution`, its tables `integer_acceptance`
+triads              `triad_tables`, `triad_search`, `triad_votes`, for each `arithmetic`
 unknown scale       `free_scale` and `last_fit`, over the patterns of `quads`; see `startracker.blind`
 known attitude      `startracker.estimation.association` of centroids and guide stars
 ==================  ==================================================================================================
@@ -27,7 +26,7 @@ from startracker.identification.match_groups import match_groups
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pattern_hash import pattern_hash
 from startracker.identification.pyramid import pyramid
-from startracker.identification.triads import triads, triads_integer
+from startracker.identification.triads import triads
 from startracker.settings import IdentificationSettings
 
 Identifier = Callable[[Observed, GuideDatabase, IdentificationSettings, Prior | None], Identification]
@@ -38,7 +37,6 @@ METHODS: dict[str, Identifier] = {
     "pyramid": pyramid,
     "pattern_hash": pattern_hash,
     "triads": triads,
-    "triads_integer": triads_integer,
 }
 
 __all__ = [
@@ -52,7 +50,6 @@ __all__ = [
     "pattern_hash",
     "pyramid",
     "triads",
-    "triads_integer",
 ]
 
 

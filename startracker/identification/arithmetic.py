@@ -1,7 +1,7 @@
 """Array operations of identification by triads, in floating point (Yee 1999, sections 2.3 and 3).
 
 `triad_search`, `triad_tables` and `triad_votes` are written once for every `Arithmetic`: floating point, documented in
-`FloatArithmetic`, and the integer ones (`startracker.fixed_point`) have the same methods. `Numbers` are arrays or
+`FloatArithmetic`, and the integers of the thesis (`simulator.theses.yee1999.fixed_point`). `Numbers` are arrays or
 scalars in the format of an arithmetic; the algorithm only passes them on, sorts and compares them. There are two
 formats: *separations* (her 6.10), and *angles* on a circle (her 10.6), in [0, `full_turn`) or, for differences, in
 [−`full_turn`/2, `full_turn`/2). `image` and `sky` are the stars in the form that the arithmetic uses, including tables.
@@ -11,19 +11,94 @@ Index arrays `i`, `j`, `k` have equal shapes (P,), and so do the results.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.wide import WideArithmetic
 from startracker.geometry.attitude import radec_to_direction
 
 Numbers: TypeAlias = NDArray[Any]
-"""Values in an arithmetic's own format: float64 degrees in floating point, int64 in the integer build."""
+"""Values in an arithmetic's own format: float64 degrees in floating point, int64 in the integers of the thesis."""
+
+
+class Arithmetic(Protocol):
+    """Operations of identification by triads; `FloatArithmetic` documents them."""
+
+    @property
+    def full_turn(self) -> Any:
+        """360° in the format of angles."""
+        ...
+
+    def image(self, xy_px: ArrayLike, scale_deg: ArrayLike) -> Any:
+        """Image stars."""
+        ...
+
+    def sky(self, ra_deg: ArrayLike, dec_deg: ArrayLike, max_separation_deg: float) -> Any:
+        """Catalogue stars."""
+        ...
+
+    def separation_of(self, degrees: float) -> Any:
+        """A number of degrees as a separation."""
+        ...
+
+    def angle_of(self, degrees: float) -> Any:
+        """A number of degrees as an angle."""
+        ...
+
+    def image_separations(self, image: Any, i: IntArray, j: IntArray) -> Numbers:
+        """Separations of image stars."""
+        ...
+
+    def catalog_separations(self, sky: Any, i: IntArray, j: IntArray) -> Numbers:
+        """Separations of catalogue stars."""
+        ...
+
+    def image_directions(self, image: Any, i: IntArray, j: IntArray) -> Numbers:
+        """Directions from star i to star j in the image."""
+        ...
+
+    def catalog_directions(self, sky: Any, i: IntArray, j: IntArray) -> Numbers:
+        """The same in the sky."""
+        ...
+
+    def rotations(self, catalog: Numbers, image: Numbers) -> Numbers:
+        """Angles from image vectors to those of the catalogue."""
+        ...
+
+    def mean_rotations(self, first: Numbers, second: Numbers) -> Numbers:
+        """Angles half-way between two rotations."""
+        ...
+
+    def image_enclosed(self, image: Any, i: IntArray, j: IntArray, k: IntArray) -> tuple[Numbers, Numbers, Numbers]:
+        """Inner angles of triangles in the image."""
+        ...
+
+    def catalog_enclosed(self, sky: Any, i: IntArray, j: IntArray, k: IntArray) -> tuple[Numbers, Numbers, Numbers]:
+        """The same in the sky."""
+        ...
+
+    def separations_agree(self, first: Numbers, second: Numbers, tolerance: Any) -> NDArray[np.bool_]:
+        """Whether separations differ by at most a tolerance."""
+        ...
+
+    def angles_agree(self, first: Numbers, second: Numbers, tolerance: Any) -> NDArray[np.bool_]:
+        """The same of angles."""
+        ...
+
+    def group_mean(self, origin: Any, total: Any, count: int) -> Any:
+        """Running mean of the rotations of a group."""
+        ...
+
+    def separation_degrees(self, separations: Numbers) -> FloatArray:
+        """Separations in degrees."""
+        ...
+
+    def angle_degrees(self, angles: Numbers) -> FloatArray:
+        """Angles in degrees."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +290,3 @@ def _angle_at(vertex: FloatArray, first: FloatArray, second: FloatArray, sphere:
     along_u, along_v = np.einsum("ij,ij->i", u, vertex), np.einsum("ij,ij->i", v, vertex)
     sine = np.abs(np.einsum("ij,ij->i", vertex, np.cross(u, v)))
     return np.asarray(np.degrees(np.arctan2(sine, dot - along_u * along_v)))
-
-
-Arithmetic: TypeAlias = FloatArithmetic | FixedArithmetic | WideArithmetic
-"""Arithmetics of identification by triads."""

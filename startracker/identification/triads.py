@@ -21,10 +21,8 @@ import numpy as np
 
 from startracker.catalog.guide import GuideDatabase, PairList
 from startracker.estimation.wahba import fit_rotation
-from startracker.fixed_point.formats import FixedPointOverflow
-from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.acceptance import SCALES, HypothesisPool, too_few, tried_scales
-from startracker.identification.arithmetic import Arithmetic, FloatArithmetic
+from startracker.identification.arithmetic import FloatArithmetic
 from startracker.identification.observed import Identification, Observed, Prior
 from startracker.identification.pairs import observed_pairs, pair_tolerance
 from startracker.identification.triad_search import TriadLimits
@@ -42,7 +40,8 @@ _LOWEST = 0.2
 _COMBINE_PX = 4.0
 """Distance in the image, px, below which guide stars are merged; doubles that the camera does not resolve are merged
 already."""
-_TABLES: WeakKeyDictionary[PairList, dict[Arithmetic, TriadTables]] = WeakKeyDictionary()
+_ARITHMETIC = FloatArithmetic(exact=True)
+_TABLES: WeakKeyDictionary[PairList, TriadTables] = WeakKeyDictionary()
 
 
 def triads(
@@ -70,33 +69,10 @@ def triads(
     Identification
         Status, reason and pairs. Never raises for what was observed.
     """
-    return _identify(observed, guide, TriadSettings.of(settings), prior, FloatArithmetic(exact=True))
+    return _identify(observed, guide, TriadSettings.of(settings), prior)
 
 
-def triads_integer(
-    observed: Observed,
-    guide: GuideDatabase,
-    settings: IdentificationSettings | None = None,
-    prior: Prior | None = None,
-) -> Identification:
-    """`triads`, with triads and votes in 64-bit integers (`startracker.fixed_point.wide`).
-
-    If a value does not fit its format, such as for a star 83° from the boresight, the result is ``no_match`` with the
-    overflow as its reason.
-    """
-    try:
-        return _identify(observed, guide, TriadSettings.of(settings), prior, WideArithmetic())
-    except FixedPointOverflow as overflow:
-        return Identification(Status.NO_MATCH, str(overflow))
-
-
-def _identify(
-    observed: Observed,
-    guide: GuideDatabase,
-    settings: TriadSettings,
-    prior: Prior | None,
-    arithmetic: Arithmetic,
-) -> Identification:
+def _identify(observed: Observed, guide: GuideDatabase, settings: TriadSettings, prior: Prior | None) -> Identification:
     least = max(settings.min_stars, 3)
     if len(observed) < least:
         return too_few(observed, least)
@@ -111,7 +87,7 @@ def _identify(
     # A tolerance in degrees does not depend on the stated errors. One search is then enough, with the widest gate of
     # the verification, which narrows it by itself (`verify`).
     scales = tried_scales(observed, guide) if fixed is None else SCALES[-1:]
-    tables = _tables(guide, prior, arithmetic)
+    tables = _tables(guide, prior)
     i, j, separations = observed_pairs(vectors)
     verdict = pool.outcome(observed)
     for scale in scales:
@@ -151,13 +127,12 @@ def _identify(
     return verdict
 
 
-def _tables(guide: GuideDatabase, prior: Prior | None, arithmetic: Arithmetic) -> TriadTables:
+def _tables(guide: GuideDatabase, prior: Prior | None) -> TriadTables:
     """Tables of the guide stars, for the whole sky or around a prior attitude; indices are those of the guide stars."""
     pairs = guide.pairs if prior is None else guide.pairs_near(prior.attitude.boresight, prior.radius_rad)
-    known = _TABLES.setdefault(pairs, {})
-    if arithmetic not in known:
+    if pairs not in _TABLES:
         x, y, z = guide.directions.T
-        sky = arithmetic.sky(np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y))), 180.0)
+        sky = _ARITHMETIC.sky(np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y))), 180.0)
         first, second = pairs.first.astype(np.int64), pairs.second.astype(np.int64)
-        known[arithmetic] = TriadTables.of_pairs(arithmetic, guide.catalog.id, guide.v_mag, sky, first, second)
-    return known[arithmetic]
+        _TABLES[pairs] = TriadTables.of_pairs(_ARITHMETIC, guide.catalog.id, guide.v_mag, sky, first, second)
+    return _TABLES[pairs]

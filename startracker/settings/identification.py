@@ -171,7 +171,7 @@ class PatternHashSettings(IdentificationSettings):
 
 @dataclass(frozen=True)
 class TriadSettings(IdentificationSettings):
-    """Settings of `triads` and `triads_integer` (Yee 1999), besides those that all methods share.
+    """Settings of `triads` (Yee 1999), besides those that all methods share.
 
     Parameters
     ----------
@@ -234,7 +234,6 @@ SETTINGS: dict[str, type[IdentificationSettings]] = {
     "pyramid": PyramidSettings,
     "pattern_hash": PatternHashSettings,
     "triads": TriadSettings,
-    "triads_integer": TriadSettings,
 }
 """Class of the settings of each identifier."""
 

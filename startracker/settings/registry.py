@@ -13,6 +13,13 @@ from startracker.errors import InputError
 T = TypeVar("T")
 
 
+_REPLACED = {
+    ("identifiers", "triads_integer"): "triads in integers are the flight build; set tracker.engine: flight and "
+    "tracker.identifier: triads in a scenario, or use 'triads'",
+}
+"""What to use in place of names that have gone."""
+
+
 def lookup(kind: str, methods: Mapping[str, T], name: str) -> T:
     """Look up an algorithm by name.
 
@@ -37,6 +44,8 @@ def lookup(kind: str, methods: Mapping[str, T], name: str) -> T:
     offered = {entry.name: entry for entry in entry_points(group=f"boresight.{kind}")}
     if name in offered:
         return offered[name].load()  # type: ignore[no-any-return]  # an entry point's type is its author's promise
+    if advice := _REPLACED.get((kind, name)):
+        raise InputError(f"'{name}' is not one of the {kind} any more: {advice}")
     known = sorted({*methods, *offered})
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.flight_lists import FIELDS, field_list, null_list
 from benchmarks.flight_tracker import lists_text
-from benchmarks.integer_lists import PATTERNS
+from benchmarks.pattern_lists import PATTERNS
 from simulator.randomness import stream
 from simulator.study.exported_c.build import compile_export
 from simulator.study.exported_c.targets import CLANG, HOST

@@ -6,11 +6,10 @@ from importlib.resources import files
 from pathlib import Path
 
 from simulator.study.exported_c.build import FLAGS
-from startracker.fixed_point.c_table import CTable
+from startracker.flight.c_table import CTable
 
 STRICT = (*FLAGS, "-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes", "-ffp-contract=off")
 SANITIZED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
-_FOLDERS = ("startracker.fixed_point", "startracker.flight")
 
 
 class Real(ctypes.Structure):
@@ -38,11 +37,10 @@ def library(
     body = "".join("\n".join(array.definition()) + "\n" for array in arrays or [])
     (folder / "tables.c").write_text('#include "tracker_tables.h"\n' + body)
     (folder / "more.c").write_text(source or '#include "tracker_tables.h"\n')
-    roots = [Path(str(files(name) / "c")) for name in _FOLDERS]
-    paths = [next(root / f"tracker_{m}.c" for root in roots if (root / f"tracker_{m}.c").exists()) for m in modules]
+    sources = Path(str(files("startracker.flight") / "c"))
+    paths = [sources / f"tracker_{module}.c" for module in modules]
     out = folder / f"{arithmetic}-{compiler}-{len(extra)}.so"
-    command = [compiler, *STRICT, *extra, "-fPIC", "-shared", "-o", str(out), f"-I{folder}"]
-    command += [f"-I{root}" for root in roots]
+    command = [compiler, *STRICT, *extra, "-fPIC", "-shared", "-o", str(out), f"-I{folder}", f"-I{sources}"]
     done = subprocess.run(
         [*command, *map(str, paths), str(folder / "tables.c"), str(folder / "more.c")],
         capture_output=True,

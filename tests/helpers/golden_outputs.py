@@ -189,7 +189,7 @@ def lists() -> Outputs:
 
 
 def exports() -> Outputs:
-    """Digests of the files of both exports."""
+    """Digests of the files of flight builds, of frames and from centroids."""
     from simulator.checks import load_scenario
     from simulator.study.flight.design import flight_design
     from startracker.flight.export import flight_export
@@ -201,7 +201,7 @@ def exports() -> Outputs:
             for file, text in sorted(export.files.items()):
                 names.append(f"{name}/{arithmetic}/{identifier}/{file}")
                 digests.append(digest(text.encode()))
-    for file, text in sorted(integer_export_files().items()):
+    for file, text in sorted(centroid_export_files().items()):
         names.append(f"centroids/{file}")
         digests.append(digest(text.encode()))
     return {"names": text_rows(names), "digests": text_rows(digests)}
@@ -214,8 +214,8 @@ def flight_kinds() -> list[tuple[str, str]]:
     return [(arithmetic, identifier) for arithmetic in ARITHMETICS for identifier in IDENTIFIERS]
 
 
-def integer_export_files() -> dict[str, str]:
-    """Files of the integer tracker for centroids, by the command."""
+def centroid_export_files() -> dict[str, str]:
+    """Files of the flight build from centroids of a camera without a scenario, by the command."""
     import tempfile
 
     from typer.testing import CliRunner

@@ -11,11 +11,17 @@ import math
 import numpy as np
 import pytest
 
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.cordic import angles_deg, fine_angles
-from startracker.fixed_point.formats import CENTROID, COSINE, SEPARATION, FixedPointOverflow
-from startracker.fixed_point.square_root import CROSSOVER, by_pythagoras, by_tables, separation, square_root
-from startracker.fixed_point.tables import arccosine_table, cosine_table, enclosed_table, quadrant_table
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
+from simulator.theses.yee1999.fixed_point.cordic import fine_angles
+from simulator.theses.yee1999.fixed_point.formats import CENTROID, COSINE, SEPARATION, FixedPointOverflow
+from simulator.theses.yee1999.fixed_point.square_root import (
+    CROSSOVER,
+    by_pythagoras,
+    by_tables,
+    separation,
+    square_root,
+)
+from simulator.theses.yee1999.fixed_point.tables import arccosine_table, cosine_table, enclosed_table, quadrant_table
 from startracker.identification.arithmetic import FloatArithmetic
 
 HR = [21, 168, 264, 403, 542]
@@ -122,4 +128,5 @@ def test_arctangents_against_floating_point():
     # the last of 40 rotations is by 57.3° × 2⁻³⁹, and each of them is rounded by 2⁻⁴¹ at most
     assert np.abs(off).max() < 57.3 * 2.0**-39 + 40 * 2.0**-41
     axes = [(0, 1), (1, 0), (0, -1), (-1, 0), (0, 0)]
-    assert (angles_deg(*np.transpose(axes)) / 2**22).tolist() == [0.0, 90.0, 180.0, 270.0, 0.0]
+    rounded = np.rint(fine_angles(*np.transpose(axes)) / 2.0**18) % (360 << 22)  # to 10.22
+    assert (rounded / 2.0**22).tolist() == [0.0, 90.0, 180.0, 270.0, 0.0]

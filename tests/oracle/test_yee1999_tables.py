@@ -16,13 +16,13 @@ import pytest
 
 from simulator.theses import yee1999
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
 from simulator.theses.yee1999.integers import crossover
 from simulator.theses.yee1999.picture import Options, analyse, centred, deneb, sadr, vega
 from simulator.theses.yee1999.rendered_flight import cropped_field_deg, database_separations, field_deg
 from simulator.theses.yee1999.subsets import mean_errors, subset_centers, triangle_areas
 from startracker.errors import InputError
 from startracker.estimation import solve_plate
-from startracker.fixed_point.arithmetic import FixedArithmetic
 from startracker.identification.triad_search import TriadLimits
 
 

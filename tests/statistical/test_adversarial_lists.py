@@ -16,7 +16,7 @@ def test_no_list_is_accepted(kind):
     assert 0 < found["worst"][0] <= tracker("10deg", "adaptive", RATE).identification.max_operations
 
 
-@pytest.mark.parametrize("method", sorted(set(METHODS) - {"adaptive", "triads", "triads_integer"}))
+@pytest.mark.parametrize("method", sorted(set(METHODS) - {"adaptive", "triads"}))
 @pytest.mark.parametrize("kind", ["clump", "cluster size"])
 def test_no_clump_is_accepted_by_any_method(kind, method):
     assert not run_chunk(method, kind, "10deg", 11, RATE, 0, 5)["accepted"]

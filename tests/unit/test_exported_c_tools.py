@@ -9,7 +9,7 @@ from simulator.study.exported_c.instructions import count_instructions, marked
 from simulator.study.exported_c.stack import deepest_stack
 from simulator.study.exported_c.targets import CORTEX_M4, EMULATED, HOST, M68K, MACHINE
 from startracker.errors import InputError
-from startracker.integer_export import CExport
+from startracker.flight.c_text import CExport
 
 pytestmark = pytest.mark.system
 

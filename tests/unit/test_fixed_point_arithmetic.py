@@ -6,18 +6,13 @@ import numpy as np
 import pytest
 
 from simulator.randomness import stream
-from simulator.study.exported_c.centroid_lists import centroid_list
 from simulator.theses.yee1999.catalogue import sub_catalog
+from simulator.theses.yee1999.centroid_lists import centroid_list
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
+from simulator.theses.yee1999.fixed_point.formats import FixedPointOverflow, integers
+from simulator.theses.yee1999.fixed_point.wide import WideArithmetic
 from simulator.theses.yee1999.picture import vega
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.formats import FixedPointOverflow, integers
-from startracker.fixed_point.wide import WideArithmetic
 from startracker.identification.arithmetic import FloatArithmetic
-from startracker.identification.integer_solution import (
-    IntegerCamera,
-    IntegerTracker,
-    solve_integers,
-)
 from startracker.identification.triad_search import TriadLimits, image_pairs
 from startracker.identification.triad_tables import TriadTables
 from startracker.identification.triad_votes import match_triads
@@ -153,19 +148,13 @@ def test_floating_point_is_refused(sky):
 
 
 def test_overflow_is_reported():
-    stars = sub_catalog(5, 4.5)
-    columns = (stars.hr, stars.ra_deg, stars.dec_deg, stars.v_mag)
-    tracker = IntegerTracker.build(IntegerCamera((1022, 1022), (40.0, 40.0)), *columns, 12.0)
-    far = solve_integers(tracker, [[-500.0, 0.0], [500.0, 400.0], [0.0, -400.0]])
-    assert (far.status, far.attitude) == ("overflow", None)
-    assert "6.10" in far.reason
-    outside = solve_integers(tracker, [[512.0, 0.0], [1.0, 1.0], [2.0, 2.0]])
-    assert outside.status == "overflow"
-    assert "10.22" in outside.reason
-    small = IntegerTracker.build(IntegerCamera((1000, 800), (20.0, 16.0)), *columns, 12.0)
-    assert solve_integers(small, [[501.0, 0.0], [1.0, 1.0], [2.0, 2.0]]).status == "outside_image"
-    assert solve_integers(small, [[1.0, -401.0], [1.0, 1.0], [2.0, 2.0]]).status == "outside_image"
-    assert solve_integers(small, [[0.0, 0.0], [1.0, 1.0]]).status == "too_few_stars"
+    fixed = FixedArithmetic()
+    scale = (40.0 / 1022, 40.0 / 1022)
+    far = fixed.image([[-500.0, 0.0], [500.0, 400.0]], scale)
+    with pytest.raises(FixedPointOverflow, match=r"6\.10"):
+        fixed.image_separations(far, [0], [1])
+    with pytest.raises(FixedPointOverflow, match=r"10\.22"):
+        fixed.image([[512.0, 0.0], [1.0, 1.0]], scale)
     with pytest.raises(FixedPointOverflow, match="tangent"):
         WideArithmetic().image([[1e6, 0.0]], (0.001, 0.001))
 
@@ -201,7 +190,7 @@ def test_matches_are_those_of_floating_point():
     scale = (9.0130 / 427, 6.9049 / 319)
     same, found = 0, 0
     for k in range(60):
-        xy = centroid_list(directions, stars.v_mag, (9.0130, 6.9049), (427, 319), stream(9, "fixed", k), "field", 7)
+        xy = centroid_list(directions, stars.v_mag, (9.0130, 6.9049), (427, 319), stream(9, "fixed", k), 7)
         best = [match_triads(t, xy, scale).best() for t in tables]
         pairs = [{} if b is None else dict(b.pairs.tolist()) for b in best]
         found += bool(pairs[0])

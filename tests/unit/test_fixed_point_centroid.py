@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from startracker.fixed_point.centroid import running_centroid
-from startracker.fixed_point.formats import CENTROID, FixedPointOverflow
+from simulator.theses.yee1999.fixed_point.centroid import running_centroid
+from simulator.theses.yee1999.fixed_point.formats import CENTROID, FixedPointOverflow
 
 
 def test_against_exact_sums():

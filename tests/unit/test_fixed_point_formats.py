@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from startracker.fixed_point.formats import CENTROID, COSINE, FixedPointOverflow, Format, divide, integers
+from simulator.theses.yee1999.fixed_point.formats import CENTROID, COSINE, FixedPointOverflow, Format, divide, integers
 
 F44 = Format(4, 4)
 

@@ -20,7 +20,7 @@ from startracker.core import SPEED_OF_LIGHT_KM_S
 from startracker.errors import InputError
 from startracker.estimation import field_fit
 from startracker.estimation.refine import refine
-from startracker.fixed_point.c_table import CTable
+from startracker.flight.c_table import CTable
 from startracker.flight.directions import grid_arrays, grid_constants
 from startracker.flight.pose import POSE_MODULES, pose_arrays, pose_constants, pose_tables
 from startracker.flight.stars import StarList

@@ -10,8 +10,8 @@ import pytest
 from benchmarks.flight_lists import FIELDS, null_list
 from simulator.randomness import stream
 from simulator.study.exported_c.targets import HOST
+from simulator.theses.yee1999.fixed_point.wide import WideArithmetic
 from startracker import Camera, StarTracker
-from startracker.fixed_point.wide import WideArithmetic
 from startracker.flight.design import DetectorNumbers, FlightDesign
 from startracker.flight.search_tables import TRIAD_BRIGHT, TRIAD_SHARE, search_tables
 from startracker.identification.acceptance import SCALES

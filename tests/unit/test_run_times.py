@@ -5,13 +5,14 @@ from importlib import import_module
 import pytest
 
 from simulator.study.exported_c.build import compile_export
-from simulator.study.exported_c.centroid_lists import list_text
 from simulator.study.exported_c.targets import M68K, Target
 from simulator.theses.yee1999 import SECTIONS
 from simulator.theses.yee1999.catalogue import printed_rows
+from simulator.theses.yee1999.integer_build import star_text
 from simulator.theses.yee1999.integers import fixed_centroids, star_pixels
 from simulator.theses.yee1999.picture import deneb
 from simulator.theses.yee1999.run_times import version_b
+from startracker.flight.export import flight_export
 
 pytestmark = pytest.mark.system
 
@@ -45,12 +46,13 @@ def test_without_a_cross_compiler(monkeypatch):
 
 @pytest.mark.skipif(M68K.missing() is not None, reason=f"{M68K.missing()} is not installed")
 def test_version_b_on_the_68k(tmp_path):
-    """Nine stars of the Deneb image fit, for which 8.7 bits of evidence are too few at the thesis' plate scale."""
-    build = compile_export(version_b(deneb()), tmp_path, M68K)
-    answer = build.solve(list_text(deneb().xy_px))[0]
-    assert answer.startswith("no_match weak_evidence ")
-    assert "matched=9 " in answer
-    assert build.code_bytes < 32_000
+    """Nine stars of the Deneb image are named as in the thesis, also at its plate scale."""
+    design = version_b(deneb())
+    build = compile_export(flight_export(design), tmp_path, M68K)
+    (answer,) = build.run(star_text(deneb().xy_px, design).encode(), "stars").decode().splitlines()
+    assert answer.startswith("solved accepted stars=9 matched=9 ")
+    assert answer.endswith("numbers=7924,7735,7751,7977,7844,7851,8001,8003,7798")
+    assert build.code_bytes < 80_000
     assert build.stack_bytes < 4096
     assert build.heap_calls == ()
 
@@ -60,8 +62,9 @@ def test_version_b_on_the_68k(tmp_path):
 def test_section_with_the_68k():
     rows = {row.quantity: row for row in SECTIONS["times"]().rows}
     vega, deneb_ = (float(rows[f"{name} on the 68k: fixed point, version B"].computed.split()[0]) for name in NAMES)
-    assert 1.0 < vega < 4.0
-    assert 10.0 < deneb_ < 30.0
+    # the printed times are 235 and 592 million clocks of a processor that takes several for an instruction
+    assert 3.0 < vega < 12.0
+    assert vega < deneb_ < 20.0
     assert float(rows["Deneb minus Vega"].computed.split()[0]) == pytest.approx(deneb_ - vega, abs=0.011)
 
 

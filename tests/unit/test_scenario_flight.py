@@ -6,6 +6,8 @@ from simulator.checks import load_scenario
 from simulator.scenario.errors import ScenarioError
 from simulator.scenario.flight_rules import LARGEST
 from simulator.study.budget.effects import EFFECTS
+from startracker import Camera, StarTracker
+from startracker.errors import InputError, InputWarning
 from startracker.flight.front_tables import HALF, LARGEST_SIDE
 from startracker.flight.search_tables import MOST_STARS
 
@@ -92,3 +94,17 @@ def test_every_effect_of_the_budget_can_be_switched_off():
     assert not changes["quantisation"]  # the flight build reads whole numbers
     for values in changes.values():
         assert scenario.changed(values).tracker.engine == "flight"
+
+
+def test_triads_in_integers_are_the_flight_build():
+    with pytest.warns(InputWarning, match="tracker.identifier: 'triads_integer' is the flight build now"):
+        scenario = load_scenario("cubesat_ideal", ["tracker.identifier=triads_integer"])
+    assert (scenario.tracker.engine, scenario.tracker.identifier) == ("flight", "triads")
+    head = "{name: a, mounting: orbit_normal, tracker: {identifier: triads_integer}}"
+    with pytest.raises(ScenarioError, match=r"heads\[0\].tracker.identifier: .* set tracker.engine: flight and"):
+        load_scenario("cubesat_ideal", [f"heads=[{head}, {{name: b, mounting: zenith}}]"])
+
+
+def test_a_star_tracker_of_triads_in_integers_says_what_to_do():
+    with pytest.raises(InputError, match=r"not one of the identifiers any more: .* tracker.engine: flight"):
+        StarTracker(Camera.from_fov(12.0, 512, 512), identifier="triads_integer")

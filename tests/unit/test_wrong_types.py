@@ -390,8 +390,7 @@ NOTHING_GIVEN = {"startracker.BoresightError", "startracker.InputError", "startr
 """Errors, and what has no arguments."""
 ELSEWHERE = (
     "startracker.fusion.",  # tests/unit/test_fusion_filter.py
-    "simulator.live.stimulator.",  # tests/unit/test_wrong_types_bench.py, as the integer tracker
-    "startracker.identification.integer_solution.",
+    "simulator.live.stimulator.",  # tests/unit/test_wrong_types_bench.py
     "simulator.live.basilisk.",  # only with the package Basilisk
 )
 """Beginnings of names whose arguments other tests check."""

@@ -1,4 +1,4 @@
-"""As test_wrong_types.py, for the stimulator and the tracker in integers."""
+"""As test_wrong_types.py, for the stimulator."""
 
 import functools
 from datetime import date
@@ -9,8 +9,7 @@ from wrong_types import faults_of
 
 from simulator import Renderer, Scenario
 from simulator.live import stimulator as bench
-from startracker import Attitude, Camera, load_catalog
-from startracker.identification.integer_solution import IntegerCamera, IntegerTracker, solve_integers
+from startracker import Attitude, Camera
 
 CAMERA = Camera(500.0, 500.0, 63.5, 47.5, 128, 96)
 GEOMETRY = bench.DisplayGeometry(CAMERA)
@@ -26,13 +25,6 @@ PHOTOGRAPH = bench.Photograph("one", np.zeros((96, 128), np.float32), CAMERA)
 def parts():
     renderer = Renderer(Scenario.load("cubesat_ideal", ["detector.width=64", "detector.height=64"]))
     return renderer.scene(), renderer.focal_plane
-
-
-@functools.cache
-def integer_tracker():
-    stars = load_catalog("bsc5").brighter_than(3.0)
-    columns = stars.id, np.degrees(stars.ra_rad), np.degrees(stars.dec_rad), stars.v_mag
-    return IntegerTracker.build(IntegerCamera((427, 319), (9.0, 6.9)), *columns, 10.0)
 
 
 CALLS = {
@@ -82,20 +74,6 @@ CALLS = {
     "point_sources": (
         lambda **given: bench.point_sources(**dict(zip(("scene", "focal_plane"), parts(), strict=True)) | given),
         {"scene": ..., "focal_plane": ...},
-    ),
-    "IntegerCamera": (
-        IntegerCamera,
-        {"size_px": (427, 319), "fov_deg": (9.0, 6.9), "centroid_error_px": 0.3, "false_alarm_rate": 1e-7,
-         "resolution_px": 3.0},
-    ),
-    "IntegerTracker.build": (
-        IntegerTracker.build,
-        {"camera": IntegerCamera((427, 319), (9.0, 6.9)), "star_id": [1, 2, 3], "ra_deg": [1.0, 2.0, 3.0],
-         "dec_deg": [1.0, 2.0, 2.0], "v_mag": [1.0, 2.0, 3.0], "max_separation_deg": 10.0},
-    ),
-    "solve_integers": (
-        lambda **given: solve_integers(**{"tracker": integer_tracker()} | given),
-        {"tracker": ..., "xy_px": [[1.0, 2.0], [3.0, 4.0], [50.0, 6.0]], "limits": None},
     ),
 }  # fmt: skip
 

@@ -1,1 +1,1 @@
-"""Compilation and measurement of the exported C; test centroid lists."""
+"""Compilation and measurement of the exported C."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from simulator.study.exported_c.build import FLAGS, command
 from startracker.errors import InputError
-from startracker.integer_export import CExport
+from startracker.flight.c_text import CExport
 
 STRICT = (*FLAGS, "-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes", "-Wcast-align", "-Wvla")
 _FOUND = re.compile(r"^(\S+?):(\d+): (\S+): (.*)$", re.MULTILINE)

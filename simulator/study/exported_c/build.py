@@ -16,7 +16,7 @@ from pathlib import Path
 from simulator.study.exported_c.stack import deepest_stack
 from simulator.study.exported_c.targets import HOST, MACHINE, Target
 from startracker.errors import InputError
-from startracker.integer_export import CExport
+from startracker.flight.c_text import CExport
 
 FLAGS = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror", "-ffp-contract=off")
 _HEAP = re.compile(r"^_*(malloc|calloc|realloc|free|aligned_alloc|posix_memalign|sbrk)$")
@@ -61,22 +61,18 @@ class Build:
             raise _failure(command[0], done.stderr.decode(errors="replace"), done.returncode)
         return done.stdout
 
-    def solve(self, text: str, times: int = 1) -> list[str]:
-        """Output lines of the program for lists of centroids, with each list solved `times` times."""
-        return self.run(text.encode(), str(times)).decode().splitlines()
-
-    def time_s(self, text: str, times: int) -> float:
-        """Seconds per list, from runs with 1 and `times` + 1 repetitions, best of three."""
-        lists = len(self.solve(text))
+    def time_s(self, data: bytes, times: int, *arguments: str) -> float:
+        """Seconds that the program needs for this standard input, from runs with it once and `times` more; the shortest
+        of three runs each."""
         spent = []
         for repetitions in (1, times + 1):
             best = float("inf")
             for _ in range(3):
                 start = time.perf_counter()
-                self.solve(text, repetitions)
+                self.run(data * repetitions, *arguments)
                 best = min(best, time.perf_counter() - start)
             spent.append(best)
-        return (spent[1] - spent[0]) / times / lists
+        return max(spent[1] - spent[0], 0.0) / times
 
 
 def compile_export(export: CExport, folder: Path, target: Target = HOST, extra: Sequence[str] = ()) -> Build:

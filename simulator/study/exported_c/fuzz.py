@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from simulator.study.exported_c.build import command, write_sources
 from startracker.errors import InputError
-from startracker.integer_export import CExport
+from startracker.flight.c_text import CExport
 
 FLAGS = ("-std=c99", "-g", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 SANITIZERS = (

@@ -21,7 +21,7 @@ from simulator.study.exported_c.build import command, write_sources
 from simulator.study.exported_c.instructions import InstructionCounts
 from startracker.core import FloatArray
 from startracker.errors import InputError
-from startracker.integer_export import CExport
+from startracker.flight.c_text import CExport
 
 _COMPILE = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-vectorize", "-fno-slp-vectorize", "-fno-unroll-loops")
 _COUNTED = "-fsanitize-coverage=bb,no-prune,trace-pc-guard"

@@ -1,4 +1,4 @@
-"""Design of the flight build of a scenario's camera."""
+"""Design of the flight build of a scenario's camera, or of a camera that is given by its size and field."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from simulator.scenario import Scenario
 from simulator.scenario.schema_sequence import SequenceSection
 from simulator.study.process_noise import process_noise
 from simulator.study.star_tracker import build_tracker
+from startracker.catalog import load_catalog
+from startracker.catalog.guide import GuideDatabase
 from startracker.catalog.stars import StarCatalog
 from startracker.errors import InputError
 from startracker.flight.design import DetectorNumbers, FlightDesign
+from startracker.geometry.camera import Camera
 from startracker.observer import Observer
 from startracker.settings import TrackingSettings
 from startracker.settings.identification import IdentificationSettings
 from startracker.tracking.mekf import GyroNoise, RateNoise
 
 _NUMBERS_END = 2**31
-_TRIADS = ("triads", "triads_integer")
-"""Identifiers of the star tracker that a flight build has as ``triads``."""
 
 
 def flight_design(
@@ -47,7 +48,7 @@ def flight_design(
         For an unknown arithmetic or identifier, or a camera that cannot be built.
     """
     if identifier is None:
-        identifier = "triads" if scenario.tracker.identifier in _TRIADS else "adaptive"
+        identifier = "triads" if scenario.tracker.identifier == "triads" else "adaptive"
     renderer = renderer or Renderer(scenario)
     tracker = build_tracker(scenario, renderer.camera)
     psf = renderer.focal_plane.psfs.psf()
@@ -81,6 +82,44 @@ def _check_numbers(catalog: StarCatalog) -> None:
         )
 
 
+def camera_design(
+    size_px: tuple[int, int],
+    fov_deg: tuple[float, float],
+    settings: IdentificationSettings,
+    identifier: str = "triads",
+    arithmetic: str = "fixed",
+    declination_deg: tuple[float, float] = (-90.0, 90.0),
+    magnitude_limit: float = 6.0,
+) -> FlightDesign:
+    """Design of a camera without distortion, whose tracker takes lists of centroids.
+
+    Parameters
+    ----------
+    size_px, fov_deg : (int, int), (float, float)
+        Pixels and degrees, across and down; the optical axis is in the middle of the image.
+    settings : IdentificationSettings
+        Of the identifier.
+    identifier, arithmetic : str
+        As in `FlightDesign`.
+    declination_deg : (float, float)
+        Range of the stars of the Bright Star Catalogue.
+    magnitude_limit : float
+        Magnitude of the faintest star.
+
+    Raises
+    ------
+    InputError
+        For fewer than three stars, or a camera or settings that a flight build does not hold.
+    """
+    (width, height), low_high = size_px, np.radians(declination_deg)
+    fx, fy = (n / 2.0 / math.tan(math.radians(angle) / 2.0) for n, angle in zip(size_px, fov_deg, strict=True))
+    camera = Camera(fx, fy, (width - 1) / 2.0, (height - 1) / 2.0, width, height)
+    catalog = load_catalog("bsc5")
+    catalog = catalog.select((catalog.dec_rad >= low_high[0]) & (catalog.dec_rad <= low_high[1]))
+    guide = GuideDatabase.build(catalog, camera, magnitude_limit, settings)
+    return FlightDesign(camera, guide, identification=settings, arithmetic=arithmetic, identifier=identifier)
+
+
 def _motion(section: SequenceSection) -> RateNoise | GyroNoise:
     """Motion of the camera between the frames of a sequence; the default where it is measured from the frames. A flight
     build does not estimate a gyro's scale factors."""
@@ -93,7 +132,7 @@ def _motion(section: SequenceSection) -> RateNoise | GyroNoise:
 
 def _identification(scenario: Scenario, settings: IdentificationSettings, identifier: str) -> IdentificationSettings:
     """Settings of the scenario's identifier; those that all methods share if the flight build has another one."""
-    if identifier == scenario.tracker.identifier or (identifier == "triads" and scenario.tracker.identifier in _TRIADS):
+    if identifier == scenario.tracker.identifier:
         return settings
     shared = {one.name: getattr(settings, one.name) for one in dataclasses.fields(IdentificationSettings)}
     return IdentificationSettings(**shared)

@@ -16,10 +16,10 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.core import FloatArray
 from startracker.display import described
 from startracker.errors import InputError
-from startracker.fixed_point.evidence import LOG_BITS
 from startracker.flight.apparent import epoch_of
 from startracker.flight.design import FlightDesign
 from startracker.flight.following import RADIUS_BITS
+from startracker.flight.search_tables import LOG_BITS
 from startracker.flight.stars import StarList
 from startracker.front_end import Clock
 from startracker.geometry.attitude import Attitude

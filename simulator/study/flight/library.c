@@ -50,6 +50,7 @@ static void begin(struct library *library, const int64_t known[15])
     tracker_start(&library->context, &info);
 }
 
+#ifndef TRACKER_CENTROIDS
 /* All rows of a frame. */
 void library_read(struct library *library, const int64_t known[15], const uint16_t *pixel)
 {
@@ -65,6 +66,7 @@ void library_finish(struct library *library)
 {
     tracker_finish(&library->context, &library->answer);
 }
+#endif /* frames */
 
 /* The same of a list of stars in place of a frame: x, y, flux, variance, flags of each. */
 void library_solve_list(struct library *library, const int64_t known[15], const int64_t *list, int count)

@@ -30,6 +30,7 @@ from simulator.study.flight.program import ProgramAnswer
 from startracker.catalog.cache import folder
 from startracker.core import FloatArray, IntArray
 from startracker.errors import InputError
+from startracker.flight.c_text import for_input
 from startracker.flight.design import FlightDesign
 from startracker.flight.export import assemble, flight_parts, flight_tables
 from startracker.flight.reasons import Reason
@@ -80,7 +81,8 @@ def library_sources(design: FlightDesign) -> dict[str, str]:
     """Sources of the library of a design, by file name: those of the export without its tests, and ``library.c``."""
     export = assemble(design, flight_parts(flight_tables(design)), "tracker", "")
     kept = {name: text for name, text in export.files.items() if name.startswith("tracker")}
-    return kept | {"library.c": (files("simulator.study.flight") / "library.c").read_text("utf-8")}
+    source = (files("simulator.study.flight") / "library.c").read_text("utf-8")
+    return kept | {"library.c": for_input(source, design.takes_frames)}
 
 
 def compiled_library(design: FlightDesign, cache: Path | None = None) -> Path:

@@ -48,7 +48,6 @@ TECHNIQUES = {
     "pyramid": "triangles and a fourth star: Mortari",
     "pattern_hash": "hashed shapes of four stars",
     "triads": "two separations and their rotations: Yee",
-    "triads_integer": "the same in integers",
 }
 
 

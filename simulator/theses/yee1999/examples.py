@@ -9,8 +9,8 @@ import numpy as np
 from simulator.theses.printed import Section, Verdict
 from simulator.theses.tables import Values, table_rows, worst
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
+from simulator.theses.yee1999.fixed_point.formats import ANGLE
 from simulator.theses.yee1999.picture import vega
-from startracker.fixed_point.formats import ANGLE
 from startracker.identification.arithmetic import FloatArithmetic
 from startracker.identification.triad_tables import TriadTables
 

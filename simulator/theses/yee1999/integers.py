@@ -16,12 +16,12 @@ from simulator.theses.figures import section_of
 from simulator.theses.printed import Row, Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import file_of, printed_rows
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
+from simulator.theses.yee1999.fixed_point.centroid import running_centroid
+from simulator.theses.yee1999.fixed_point.formats import CENTROID, SEPARATION
+from simulator.theses.yee1999.fixed_point.square_root import by_pythagoras, by_tables
 from simulator.theses.yee1999.picture import PRINTED_MATCHES, Options, Picture, analyse, deneb, merged_name, sadr, vega
 from startracker.core import FloatArray, IntArray
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.fixed_point.centroid import running_centroid
-from startracker.fixed_point.formats import CENTROID, SEPARATION
-from startracker.fixed_point.square_root import by_pythagoras, by_tables
 from startracker.identification.triad_search import image_pairs
 
 _STEP_DEG, _LAST_DEG = 0.25, 22.5

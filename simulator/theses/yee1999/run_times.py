@@ -1,9 +1,8 @@
 """Run times: Tables 4.21 and C.1 to C.6, and version B on an emulated 68k.
 
-Version B is the fixed-point program without the test of enclosed angles and with memory for the stars of the image
-only. That of the thesis also detects the stars in the image and has no attitude; ours starts with the centroids and
-ends with the verified attitude of the largest group. Both images have the same size, so that the difference of their
-times excludes the search for stars in the image.
+Version B is the fixed-point program without the test of enclosed angles. That of the thesis also detects the stars in
+the image and has no attitude; ours, the flight build from centroids, ends with a verified attitude and its covariance.
+Both images have the same size, so that the difference of their times excludes the search for stars in the image.
 """
 
 from __future__ import annotations
@@ -13,26 +12,26 @@ from functools import partial
 import numpy as np
 
 from simulator.study.exported_c.build import Build
-from simulator.study.exported_c.centroid_lists import list_text
 from simulator.study.exported_c.instructions import count_instructions
 from simulator.study.exported_c.targets import M68K, native_compiler
 from simulator.theses.printed import Section
 from simulator.theses.tables import Values, table_rows
 from simulator.theses.yee1999.catalogue import printed_rows, sub_catalog
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic
 from simulator.theses.yee1999.integer_build import (
     MAX_SEPARATION_DEG,
     best_ms,
-    integer_tracker,
     match_floating,
     measured,
+    picture_design,
+    star_text,
 )
 from simulator.theses.yee1999.picture import Picture, deneb, vega
-from startracker.fixed_point.arithmetic import FixedArithmetic
-from startracker.identification.integer_solution import MAX_TRIADS
-from startracker.identification.triad_search import TriadLimits
-from startracker.integer_export import CExport, export_c
+from startracker.flight.design import FlightDesign
+from startracker.flight.export import flight_export
+from startracker.settings import TriadSettings
 
-_B = TriadLimits(enclosed_tolerance_deg=None)
+_B = TriadSettings(enclosed_tolerance_deg=None)
 _CLOCKS = 25e6
 """Clock rate of the MC68EN360RC25C of the thesis."""
 _REPETITIONS = 100
@@ -52,9 +51,9 @@ _WHERE = {
 }
 
 
-def version_b(picture: Picture) -> CExport:
-    """Version B of one image in C: only with memory for its stars, only the largest group."""
-    return export_c(integer_tracker(picture), _B, len(picture.xy_px), MAX_TRIADS, 1)
+def version_b(picture: Picture) -> FlightDesign:
+    """Version B for the camera of an image."""
+    return picture_design(picture, settings=_B)
 
 
 def run_times() -> Section:
@@ -88,8 +87,9 @@ def _here() -> Values:
         for version, hers, program in programs
     ]
     how = "C, with a verified attitude"
-    text = list_text(picture.xy_px)
-    compiled = measured(version_b(picture), native_compiler(), lambda build: 1e3 * build.time_s(text, 20))
+    design = version_b(picture)
+    data = star_text(picture.xy_px, design).encode()
+    compiled = measured(flight_export(design), native_compiler(), lambda build: 1e3 * build.time_s(data, 20, "stars"))
     timed += [
         {"version": _NAMES["B"], "hers": "n/a, 0.464 s", "ms": found["measured"], "how": how} for found in compiled
     ]
@@ -97,7 +97,7 @@ def _here() -> Values:
 
 
 def _instructions(build: Build, text: str) -> int:
-    return count_instructions(build, text.encode()).total
+    return count_instructions(build, text.encode(), "stars").total
 
 
 def _emulated() -> Values:
@@ -114,8 +114,9 @@ def _emulated() -> Values:
         return {"not_emulated": [row | {"missing": missing} for row in rows], "emulated": [], "builds": []}
     builds: list[Values] = []
     for name, picture, hers in (("Vega", vega(), "4 MB"), ("Deneb", deneb(), "4 MB, its stars renumbered")):
-        stars = list_text(picture.xy_px)
-        found = measured(version_b(picture), M68K, partial(_instructions, text=stars))
+        design = version_b(picture)
+        stars = star_text(picture.xy_px, design)
+        found = measured(flight_export(design), M68K, partial(_instructions, text=stars))
         builds += [{"name": name, "hers": hers} | values for values in found]
     vega_count, deneb_count = (values["measured"] for values in builds)
     counts = [vega_count, deneb_count, deneb_count - vega_count]

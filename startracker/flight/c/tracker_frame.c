@@ -22,9 +22,12 @@ void tracker_start(struct tracker_context *context, const struct tracker_frame_i
     context->info = *info;
     context->observer = observer_of(info);
     context->star_count = 0;
+#ifndef TRACKER_CENTROIDS
     tracker_front_start(&context->work.front);
+#endif /* frames */
 }
 
+#ifndef TRACKER_CENTROIDS
 void tracker_row(struct tracker_context *context, const uint16_t *row)
 {
     tracker_front_row(&context->work.front, row);
@@ -53,3 +56,4 @@ void tracker_finish(struct tracker_context *context, struct tracker_answer *answ
         answer->reason = TRACKER_SATURATED_SHARE;
     }
 }
+#endif /* frames */

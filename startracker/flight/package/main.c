@@ -1,8 +1,5 @@
-/* Solves frames or lists of stars from standard input, and prints a line for each.
+/* Solves @INPUTS@ from standard input, and prints a line for each.
  *
- *     solve frames [VX VY VZ [EPOCH]] < FILE
- *                                       frames of TRACKER_WIDTH x TRACKER_HEIGHT pixels, unsigned 16 bits, the lower byte
- *                                       first, row by row from the top, one frame after the other
  *     solve stars < FILE                lists: a line "x y flux variance flags" for each star, brightest first, integers
  *                                       as in struct tracker_star; an empty line ends a list. Lines before its stars:
  *                                       "velocity VX VY VZ", "epoch EPOCH", and "prior" with nine numbers of the matrix and the radius
@@ -85,6 +82,9 @@ static void print_answer(const struct tracker_answer *answer, int filter)
     printf("\n");
 }
 
+#ifndef TRACKER_CENTROIDS
+/* solve frames [VX VY VZ [EPOCH]] < FILE: frames of TRACKER_WIDTH x TRACKER_HEIGHT pixels, unsigned 16 bits, the lower byte
+ * first, row by row from the top, one frame after the other. */
 static int solve_frames(struct tracker_context *context, const struct tracker_frame_info *info)
 {
     static unsigned char bytes[2 * TRACKER_WIDTH];
@@ -110,6 +110,7 @@ static int solve_frames(struct tracker_context *context, const struct tracker_fr
         print_answer(&answer, -1);
     }
 }
+#endif /* frames */
 
 /* Reads `count` integers separated by spaces; 0: there are fewer, or more. */
 static int read_numbers(const char *text, int count, long long *numbers)
@@ -230,9 +231,11 @@ int main(int argc, char **argv)
 {
     static struct tracker_context context;
     static struct tracker_following following;
+#ifndef TRACKER_CENTROIDS
     struct tracker_frame_info info = {{0, 0, 0}, {{{{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}}, 0}, 0, 0};
     long long known[4] = {0, 0, 0, 0};
     int k;
+#endif /* frames */
 
     if (argc == 2 && strcmp(argv[1], "version") == 0) {
         printf("%s\n", tracker_version);
@@ -244,6 +247,7 @@ int main(int argc, char **argv)
         tracker_following_start(&following);
         return solve_lists(&context, &following);
     }
+#ifndef TRACKER_CENTROIDS
     if ((argc == 2 || argc == 5 || argc == 6) && strcmp(argv[1], "frames") == 0) {
         for (k = 0; k < argc - 2; k++)
             known[k] = strtoll(argv[2 + k], NULL, 10);
@@ -251,6 +255,7 @@ int main(int argc, char **argv)
         info.epoch = (int32_t)known[3];
         return solve_frames(&context, &info);
     }
-    fprintf(stderr, "solve frames [VX VY VZ [EPOCH]] | stars | follow | version, with the frames or lists on standard input\n");
+#endif /* frames */
+    fprintf(stderr, "solve @MODES@, with the @INPUTS@ on standard input\n");
     return 2;
 }

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.fixed_point.arithmetic import FixedArithmetic, inner_angles, vector_separations
-from startracker.fixed_point.cordic import DEGREES, FINE_BITS, fine_angles
-from startracker.fixed_point.formats import Format, Integers, check_product, divide, integers
-from startracker.fixed_point.square_root import square_root
-from startracker.fixed_point.vectors import DIRECTION
+from simulator.theses.yee1999.fixed_point.arithmetic import FixedArithmetic, inner_angles, vector_separations
+from simulator.theses.yee1999.fixed_point.cordic import DEGREES, fine_angles
+from simulator.theses.yee1999.fixed_point.formats import DIRECTION, Format, check_product, divide, integers
+from simulator.theses.yee1999.fixed_point.square_root import square_root
+from startracker.flight.integers import FINE_BITS, Integers
 
 WIDE_CENTROID = Format(22, 22)
 """Pixels, of a detector of any size."""

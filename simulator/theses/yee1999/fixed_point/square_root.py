@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.fixed_point.formats import COSINE, SEPARATION, Integers, check_product, integers
-from startracker.fixed_point.tables import arccosine_table, cosine_table
+from simulator.theses.yee1999.fixed_point.formats import COSINE, SEPARATION, check_product, integers
+from simulator.theses.yee1999.fixed_point.tables import arccosine_table, cosine_table
+from startracker.flight.integers import Integers
+from startracker.flight.integers import square_root as rooted
 
 CROSSOVER = 11929
 """11.65° in 6.10: below it Pythagoras' theorem is more accurate than the tables; see `separation`."""
@@ -15,8 +17,7 @@ CROSSOVER = 11929
 def square_root(value: ArrayLike) -> Integers:
     """⌊√n⌋ of integers 0 ≤ n < 2⁶²: the root of the nearest double, which is at most one off, and then exact.
 
-    The C export iterates x ← (x + n/x)/2 (Newton–Raphson) to the same root. The root of a number of format M.N is the
-    integer root of the number times 2ᴺ.
+    The root of a number of format M.N is the integer root of the number times 2ᴺ.
 
     Raises
     ------
@@ -27,13 +28,6 @@ def square_root(value: ArrayLike) -> Integers:
     if n.size and (n.min() < 0 or n.max() >= 1 << 62):
         raise ValueError("square roots need integers from 0 to below 2**62")
     return rooted(n)
-
-
-def rooted(n: Integers) -> Integers:
-    """⌊√n⌋ of integers from 0 to below 2⁶³, without a check."""
-    root = np.sqrt(n).astype(np.int64)
-    root -= root * root > n
-    return np.asarray(root + ((root + 1) * (root + 1) <= n))
 
 
 def by_pythagoras(chi: ArrayLike, psi: ArrayLike) -> Integers:

@@ -1,4 +1,4 @@
-/* Angles of vectors in integers by CORDIC: the same operations as startracker/fixed_point/cordic.py, which explains them. */
+/* Angles of vectors in integers by CORDIC (Volder 1959): rotations by arctangents of powers of two. */
 #include "tracker_cordic.h"
 
 #include "tracker_integers.h"

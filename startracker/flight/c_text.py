@@ -1,14 +1,32 @@
-"""Text of exported C: names with a prefix, and the header and source of constant tables."""
+"""Text of exported C: its files, names with a prefix, and the header and source of constant tables."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from startracker.errors import InputError
-from startracker.fixed_point.c_table import CTable
+from startracker.flight.c_table import CTable
 
+_FRAMES = re.compile(
+    r"^(?:#ifndef TRACKER_CENTROIDS|<!-- frames -->)\n(.*?)^(?:#endif /\* frames \*/|<!-- end -->)\n(\n?)", re.M | re.S
+)
 _NAME = re.compile(r"\b(tracker|TRACKER)(?=_|\.h)")
+
+
+@dataclass(frozen=True)
+class CExport:
+    """Source files, and the memory of their tables."""
+
+    prefix: str
+    """Prefix of all names."""
+    files: dict[str, str]
+    """File name to text."""
+    table_bytes: dict[str, int]
+    """Array name to size in bytes."""
+    modules: tuple[str, ...] = ()
+    """Sources of the solver besides the tables: ``<prefix>_<module>.c``."""
 
 
 def check_prefix(prefix: str) -> None:
@@ -20,6 +38,16 @@ def check_prefix(prefix: str) -> None:
 def prefixed(text: str, prefix: str) -> str:
     """Text with the prefix in place of ``tracker`` and ``TRACKER`` at the beginning of names."""
     return _NAME.sub(lambda match: prefix if match[1] == "tracker" else prefix.upper(), text)
+
+
+def for_input(text: str, frames: bool) -> str:
+    """Text for a build of frames or for one from centroids.
+
+    What only a build of frames has is between the lines ``#ifndef TRACKER_CENTROIDS`` and ``#endif /* frames */`` of C,
+    and between ``<!-- frames -->`` and ``<!-- end -->`` of Markdown. These lines themselves are left out, and an empty
+    line after what is left out.
+    """
+    return _FRAMES.sub(r"\1\2" if frames else "", text)
 
 
 def tables_header(constants: Mapping[str, int | str], arrays: Iterable[CTable], more: Sequence[str] = ()) -> str:

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from simulator.theses.yee1999.fixed_point.formats import FixedPointOverflow, Format, integers
 from startracker._compiled import kernel
-from startracker.fixed_point.formats import FixedPointOverflow, Format, Integers, integers
+from startracker.flight.integers import FINE_BITS, ROTATION_STEPS, Integers
 
 DEGREES = Format(10, 22)
 """Right ascension, declination and roll, degrees: 0.0009″ per unit."""
-FINE_BITS = 40
-"""Fraction bits of the degrees returned by `fine_angles`."""
-_STEPS = 40
-STEPS_DEG = tuple(round(math.ldexp(math.degrees(math.atan(2.0**-k)), FINE_BITS)) for k in range(_STEPS))
-"""atan 2⁻ᵏ, degrees."""
 
 
 def fine_angles(y: ArrayLike, x: ArrayLike) -> Integers:
@@ -35,7 +29,7 @@ def fine_angles(y: ArrayLike, x: ArrayLike) -> Integers:
         largest = max(int(np.abs(a).max()), int(np.abs(b).max()))
         if largest >= 1 << 40:
             raise FixedPointOverflow("arctangent", largest, "40 bits")
-    return np.asarray(_rotated(a.ravel(), b.ravel(), np.array(STEPS_DEG))).reshape(a.shape)
+    return np.asarray(_rotated(a.ravel(), b.ravel(), np.array(ROTATION_STEPS))).reshape(a.shape)
 
 
 @kernel
@@ -58,9 +52,3 @@ def _rotated(y: Integers, x: Integers, steps: Integers) -> Integers:
                 a, b, total = a + (b >> k), b - (a >> k), total - steps[k]
         angle[n] = total
     return angle
-
-
-def angles_deg(y: ArrayLike, x: ArrayLike) -> Integers:
-    """Four-quadrant arctangents of y/x in [0°, 360°), of 10.22, rounded to the nearest."""
-    extra = FINE_BITS - DEGREES.fraction_bits
-    return np.asarray(((fine_angles(y, x) + (1 << (extra - 1))) >> extra) % (360 << DEGREES.fraction_bits))

@@ -14,20 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from startracker.fixed_point.cordic import DEGREES, FINE_BITS, fine_angles
-from startracker.fixed_point.formats import (
+from simulator.theses.yee1999.fixed_point.cordic import DEGREES, fine_angles
+from simulator.theses.yee1999.fixed_point.formats import (
     ANGLE,
     CENTROID,
     COSINE,
+    DIRECTION,
     SEPARATION,
     Format,
-    Integers,
     check_product,
     integers,
 )
-from startracker.fixed_point.square_root import separation, square_root
-from startracker.fixed_point.tables import quadrant_table
-from startracker.fixed_point.vectors import DIRECTION
+from simulator.theses.yee1999.fixed_point.square_root import separation, square_root
+from simulator.theses.yee1999.fixed_point.tables import quadrant_table
+from startracker.flight.integers import FINE_BITS, Integers
 
 SCALE = Format(12, 20)
 """Degrees per pixel: with 20 fraction bits eight of the ten separations of Table 4.17 are exact to the last bit."""

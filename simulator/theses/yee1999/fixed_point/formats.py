@@ -9,14 +9,14 @@ floating point; every other operation rejects arrays that are not integers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from startracker.errors import BoresightError
-
-Integers: TypeAlias = NDArray[np.int64]
+from startracker.flight.integers import DIRECTION_BITS, Integers
+from startracker.flight.integers import divide as truncated
 
 
 class FixedPointOverflow(BoresightError, OverflowError):
@@ -76,7 +76,7 @@ def divide(dividend: ArrayLike, divisor: ArrayLike) -> Integers:
     n, d = integers(dividend), integers(divisor)
     if not d.all():
         raise FixedPointOverflow("division by zero", 0, "no format")
-    return np.asarray(np.sign(n) * np.sign(d) * (np.abs(n) // np.abs(d)))
+    return truncated(n, d)
 
 
 @dataclass(frozen=True)
@@ -199,3 +199,5 @@ COSINE = Format(1, 15, signed=False)
 """Cosines from 0 to 1 (section 3.4)."""
 ANGLE = Format(10, 6)
 """Enclosed and rotation angles in degrees (section 3.3.3)."""
+DIRECTION = Format(32 - DIRECTION_BITS, DIRECTION_BITS)
+"""Components of unit vectors; a unit is 0.0002″."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.fixed_point.formats import CENTROID, Format, Integers, integers
+from simulator.theses.yee1999.fixed_point.formats import CENTROID, Format, integers
+from startracker.flight.integers import Integers
 
 _SIGNAL = Format(32, 0)
 

@@ -1,4 +1,4 @@
-"""Tables of the integer tracker, computed once in floating point and stored as integers (Yee 1999, section 3.3)."""
+"""Tables of the integer program, computed once in floating point and stored as integers (Yee 1999, section 3.3)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from startracker.fixed_point.formats import ANGLE, COSINE, SEPARATION, Format, Integers, integers
+from simulator.theses.yee1999.fixed_point.formats import ANGLE, COSINE, SEPARATION, Format, integers
+from startracker.flight.integers import Integers
 
 
 @lru_cache
