@@ -238,7 +238,14 @@ AREAS = {
     ),
     "detection": Area(
         ("startracker/detection/*.py", "startracker/front_end.py", "startracker/inputs.py"),
-        ("*/test_detection*", "unit/test_points_and_trails", "unit/test_centroid_moments", "oracle/test_greyling_rec*"),
+        (
+            "*/test_detection*",
+            "unit/test_points_and_trails",
+            "unit/test_centroid_moments",
+            "oracle/test_greyling_rec*",
+            "unit/test_field_attitude_inputs",
+            "unit/test_search_limits",
+        ),
     ),
     "trails": Area(
         ("startracker/trails/*.py",),
