@@ -243,6 +243,8 @@ AREAS = {
             "unit/test_points_and_trails",
             "unit/test_centroid_moments",
             "oracle/test_greyling_rec*",
+            "unit/test_light",
+            "unit/test_in_flight_parts",
             "unit/test_field_attitude_inputs",
             "unit/test_search_limits",
         ),
