@@ -12,6 +12,7 @@ from startracker.calibration import StarField, procedure
 from startracker.calibration.consensus import FocalLengths, _is_copy
 from startracker.calibration.field import SkyPart
 from startracker.calibration.known import KnownField
+from startracker.calibration.plot import _round_down, residual_figure
 from startracker.calibration.procedure import _Bench, _largest_agreeing, _notes, _unfitted
 from startracker.calibration.residual_field import FrameInformation, ResidualField, field_columns
 from startracker.catalog import load_catalog
@@ -77,10 +78,11 @@ def test_stars_match_within_robust_errors(wide):
     centroid of more than four times the usual error is none, nor one of another brightness."""
     sigma = np.full(40, 0.1)
     sigma[[3, 4]] = 0.39, 0.41
-    one = known(sigma=sigma, noise=0.1)
+    one = known(sigma=sigma, noise=0.2)  # twice as much as stated
     made = bench(one)
     normal = np.hypot(*(made.fit.residuals[0] / one.sigma()[:, None]).T)
     scale = np.median(normal) / math.sqrt(2.0 * math.log(2.0))
+    assert scale > 1.5
     gate, usual = 3.7 * scale * one.sigma(), 4.0 * scale * np.median(one.sigma()) + 1.0
     predicted = CAMERA.project(one.sky.directions)
     xy = predicted + 0.05
@@ -271,3 +273,68 @@ def test_the_fit_to_begin_with_has_no_parameters():
     assert isinstance(fit, JointFit)
     assert (fit.names, fit.stretches.shape, fit.covariance.shape) == ((), (2, 2), (0, 0))
     assert not fit.stretches.any()
+
+
+# ---------------------------------------------------------------------- figure
+def test_the_figure_shows_residuals_by_place_radius_and_size():
+    """Arrows enlarged by a round number; radial parts with weighted means over bins of equal numbers of stars, before
+    and after; a histogram of unit area."""
+    images = [known(1), known(2, name="second")]
+    result = _Bench.begin(images, "pinhole", False, ["k1"]).answer({})
+    arrows, radius, histogram = residual_figure(result).axes
+    xy, residual = np.concatenate([one.xy for one in result.fields]), result.residual_px
+    drawn = [part for part in arrows.collections if hasattr(part, "U")]
+    np.testing.assert_allclose(np.concatenate([np.column_stack([q.X, q.Y]) for q in drawn]), xy)
+    np.testing.assert_allclose(np.concatenate([np.column_stack([q.U, q.V]) for q in drawn]), residual)
+    scale = _round_down(0.04 * 1000 / result.weighted_rms_px)
+    assert [q.scale for q in drawn] == [1.0 / scale] * 2
+    assert arrows.get_title() == f"residuals × {scale:g}"
+    assert (arrows.get_xlim(), arrows.get_ylim()) == ((-0.5, 999.5), (799.5, -0.5))
+    camera, weight = result.camera, result.sigma_px**-2.0
+    away = xy - [camera.cx, camera.cy]
+    distance = np.hypot(*away.T)
+    edges = np.quantile(distance, np.linspace(0.0, 1.0, 9))
+    arcsec = math.degrees(camera.pixel_rad) * 3600.0
+    points, means = radius.lines[0], [box.lines[0] for box in radius.containers]
+    assert len(means) == 2
+    for line, values in zip(means, (np.concatenate(result.plain_residual_px), residual), strict=True):
+        radial = np.sum(values * away, axis=1) / distance * arcsec
+        bins = np.clip(np.searchsorted(edges, distance, side="right") - 1, 0, 7)
+        expected = [np.average(radial[bins == k], weights=weight[bins == k]) for k in range(8)]
+        np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-6, atol=1e-9)
+        middle = [np.average(distance[bins == k], weights=weight[bins == k]) for k in range(8)]
+        np.testing.assert_allclose(line.get_xdata(), middle, rtol=1e-9)
+    np.testing.assert_allclose(points.get_xdata(), distance)
+    bars = [part.get_segments() for box in radius.containers for part in box.lines[2]]
+    total = np.bincount(bins, weight, 8)
+    lengths = np.array([segment[1][1] - segment[0][1] for segment in bars[1]])
+    np.testing.assert_allclose(lengths, 2.0 * arcsec / np.sqrt(total), rtol=1e-6)
+    reach = 1.3 * np.quantile(np.abs(residual) * arcsec, 0.97)
+    plain = np.abs(np.sum(np.concatenate(result.plain_residual_px) * away, axis=1) / distance) * arcsec
+    np.testing.assert_allclose(radius.get_ylim()[1], max(reach, 1.1 * np.quantile(plain, 0.95)), rtol=1e-6)
+    heights, widths = ([getattr(bar, f"get_{name}")() for bar in histogram.patches] for name in ("height", "width"))
+    inside = np.abs(residual / result.sigma_px[:, None]) <= 5.0
+    assert len(heights) == 40
+    assert inside.any()
+    assert np.dot(heights, widths) == pytest.approx(1.0)
+    curve = histogram.lines[0]
+    np.testing.assert_allclose(curve.get_ydata(), np.exp(-0.5 * curve.get_xdata() ** 2) / math.sqrt(2.0 * math.pi))
+
+
+def test_residuals_beyond_the_histogram_are_counted():
+    result = _Bench.begin([known(1)], "pinhole", False, ["k1"]).answer({})
+    field = result.fields[0]
+    residual = field.residual_px.copy()
+    residual[0, 0], residual[1, 1] = 5.1 * field.sigma_px[0], -5.1 * field.sigma_px[1]
+    residual[2] = 4.9 * field.sigma_px[2]
+    far = replace(result, fields=(replace(field, residual_px=residual),))
+    assert residual_figure(far).axes[2].get_title() == f"{far.stars} stars, {far.rejected} rejected; 2 beyond ±5"
+    assert residual_figure(result).axes[2].get_title() == f"{result.stars} stars, {result.rejected} rejected"
+
+
+@pytest.mark.parametrize(
+    ("value", "rounded"),
+    [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (4.9, 2.0), (5.0, 5.0), (9.9, 5.0), (0.03, 0.02), (740.0, 500.0)],
+)
+def test_round_numbers(value, rounded):
+    assert _round_down(value) == pytest.approx(rounded)
