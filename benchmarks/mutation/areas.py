@@ -331,7 +331,7 @@ AREAS = {
             "*/test_free_scale*",
             "*/test_image_reading",
             "*/test_photographs",
-            "*/test_picture",
+            "*/test_picture*",
             "*/test_planets_recognised",
             "*/test_best_evidence",
             "*/test_search_limits",
