@@ -318,6 +318,8 @@ def test_the_figure_shows_residuals_by_place_radius_and_size():
     assert inside.any()
     assert np.dot(heights, widths) == pytest.approx(1.0)
     curve = histogram.lines[0]
+    assert curve.get_xdata()[[0, -1]].tolist() == [-5.0, 5.0]  # as the bins
+    assert (histogram.patches[0].get_x(), histogram.patches[-1].get_x()) == pytest.approx((-5.0, 4.75))
     np.testing.assert_allclose(curve.get_ydata(), np.exp(-0.5 * curve.get_xdata() ** 2) / math.sqrt(2.0 * math.pi))
 
 
