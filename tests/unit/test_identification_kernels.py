@@ -211,7 +211,7 @@ def test_triangles_are_those_of_all_guide_triples(guide, noise_px, ra_deg, dec_d
         if noise_px < 1.0 and set(index[list(corners)]) <= set(pattern):
             true = Attitude.from_radec_roll(ra_deg, dec_deg, 40.0)
             assert Attitude.from_matrix(matrices[0]).angle_to(true) < 5.0 * CAMERA.pixel_rad
-    assert total > (2 if noise_px < 1.0 else 6)
+    assert total >= 3
 
 
 def test_a_triangle_is_laid_on_by_its_longest_side():
