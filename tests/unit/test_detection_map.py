@@ -1,11 +1,14 @@
 """Maps of defective pixels, from frames of different pointings."""
 
+import inspect
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from startracker import Camera
-from startracker.detection.defect_map import BadPixelCount, DefectMap
+from startracker.detection.background import estimate
+from startracker.detection.defect_map import BadPixelCount, DefectMap, find_bad_pixels
 from startracker.geometry.attitude import Attitude
 
 
@@ -78,3 +81,10 @@ def test_pixels_that_are_not_tested():
     nothing = DefectMap(camera, frames=0, share=0.75, sigma=5.0, shift_px=6.0)
     nothing.add(image, attitude, np.empty((0, 2)))
     assert nothing._count.frames == 0
+
+
+def test_tiles_of_the_background_are_as_large_as_elsewhere():
+    sizes = {
+        inspect.signature(one).parameters["tile_px"].default for one in (DefectMap, BadPixelCount, find_bad_pixels)
+    }
+    assert sizes == {inspect.signature(estimate).parameters["tile_px"].default} == {64}

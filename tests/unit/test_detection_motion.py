@@ -1,12 +1,21 @@
 """The motion of a trailed frame, and whether its stars are points or trails."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
 from startracker.detection import Background, Spots
-from startracker.detection.forms import _search, centres, common_motion, frame_motion, motion_at
+from startracker.detection.forms import (
+    MOTION_TOLERANCE_PX,
+    MOTION_TOLERANCE_SHARE,
+    _search,
+    centres,
+    common_motion,
+    frame_motion,
+    motion_at,
+)
 from startracker.detection.sources import (
     SOURCE,
 )
@@ -44,6 +53,30 @@ def test_a_motion_is_the_least_squares_of_its_streaks():
     rows = np.concatenate([np.column_stack([one, zero, -xy[:, 1]]), np.column_stack([zero, one, xy[:, 0]])])
     expected = np.linalg.lstsq(rows, (noisy * signs[:, None]).T.ravel(), rcond=None)[0]
     np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_motion_with_most_streaks_is_found_and_of_ties_the_nearest(seed):
+    """Every pair with both signs; pairs that explain equally many streaks differ by the sum of the distances."""
+    rng = np.random.default_rng(seed)
+    xy, lines = streaks(8, (11.0, -6.0, 0.008), seed)
+    lines = lines + rng.normal(0.0, 0.1, lines.shape)
+    lines[6:] = rng.normal(0.0, 12.0, (2, 2))
+    x, y = xy.T
+    tried = []
+    for i, k in itertools.combinations(range(8), 2):
+        for sign in (1.0, -1.0):
+            two = np.array([[1, 0, -y[i]], [0, 1, x[i]], [1, 0, -y[k]], [0, 1, x[k]]])
+            motion = np.linalg.lstsq(two, np.concatenate([lines[i], sign * lines[k]]), rcond=None)[0]
+            expected = motion_at(xy, motion)
+            apart = np.minimum(np.hypot(*(lines - expected).T), np.hypot(*(lines + expected).T))
+            near = apart <= MOTION_TOLERANCE_PX + MOTION_TOLERANCE_SHARE * np.hypot(*expected.T)
+            tried.append((-near.sum(), apart[near].sum(), motion))
+    least = min(tried, key=lambda row: row[:2])
+    assert sum(row[0] == least[0] for row in tried) > 1  # several pairs explain as many
+    count, motion = _search(xy, lines, 8)
+    assert count == -least[0]
+    np.testing.assert_allclose(motion, least[2], rtol=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from startracker.detection.artefacts import (
 from startracker.detection.blends import _chain_peaks, _of_common_image, _Peaks, _valley, part_blends
 from startracker.detection.components import measure_found
 from startracker.detection.matched import filter_half, filtered_pixel
-from startracker.detection.scan import UNFILTERED
+from startracker.detection.scan import UNFILTERED, runs_above, search_rows
 from startracker.detection.shapes import MINOR, MINOR_ERROR, PEAK_SHARE, SHAPE_COLUMNS, SHAPE_SNR, shapes_at
 from startracker.detection.sources import (
     SOURCE,
@@ -42,6 +42,24 @@ def objects(count, **columns):
     for name, values in columns.items():
         table[name] = values
     return table
+
+
+# ---------------------------------------------------------------------- runs
+@pytest.mark.parametrize("width", [7, 40, 67])
+def test_a_run_goes_on_from_one_group_of_pixels_to_the_next(width):
+    """The search works in groups of eight pixels; runs end at pixels below the threshold and at the border only."""
+    image = np.where(np.random.default_rng(width).random((24, width)) < 0.9, 9.0, 0.0).astype(np.float32)
+    image[3] = image[4] = 9.0  # from border to border
+    image[5, : width // 2] = image[6, width // 2 :] = 0.0
+    level, noise = np.zeros_like(image), np.ones_like(image)
+    groups, found, _ = search_rows(image, as_plane(level), as_plane(noise), UNFILTERED, np.float32(5.0), 7)
+    runs, signal = runs_above(groups, found, image, as_plane(noise), np.float32(5.0))
+    expected = find_runs(image, level, noise, np.float32(5.0))
+    assert runs.tolist() == expected.tolist()
+    assert [3, 0, width] in runs.tolist()
+    assert [4, 0, width] in runs.tolist()
+    assert len(signal) == (image > 5.0).sum()
+    assert (signal == 9.0).all()
 
 
 # ---------------------------------------------------------------------- tables
