@@ -272,6 +272,7 @@ AREAS = {
             "unit/test_clustering*",
             "unit/test_other_stars",
             "unit/test_search_limits",
+            "unit/test_sorting",
             "unit/test_bound*",
             "property/test_identification*",
             "unit/test_identification*",

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import pdtr
 
 from startracker import Attitude, Camera
 from startracker.catalog import load_catalog
@@ -22,6 +23,7 @@ from startracker.identification.other_stars import Occupancy
 from startracker.identification.search_plan import (
     Plan,
     Setting,
+    _poisson_quantile,
     crowding_price,
     evidence_of_matches,
     fewest_matches,
@@ -476,3 +478,16 @@ def test_pairings_of_a_knot_and_another_star(guide, focal):
         k = np.flatnonzero(right)[0]
         corrected = seen.vectors[n] + found.log_focal[k] * slopes[n]
         assert np.linalg.norm(found.matrix[k] @ guide.directions[index[n]] - corrected) < 1e-3
+
+
+def test_the_quantile_of_a_count_is_the_smallest_that_reaches_the_probability():
+    """At probabilities that a count has exactly, and just below and above."""
+    mean = np.geomspace(0.05, 200.0, 60)
+    for count in (0, 1, 2, 5, 11, 30):
+        reached = pdtr(count, mean)
+        for m, q in zip(mean, reached, strict=True):
+            if 1e-6 < q < 1.0 - 1e-6:
+                one = np.array([m])
+                assert _poisson_quantile(q, one).tolist() == [count]
+                assert _poisson_quantile(q * (1.0 - 1e-7), one).tolist() == [count]
+                assert _poisson_quantile(q * (1.0 + 1e-7), one).tolist() == [count + 1]
