@@ -30,7 +30,7 @@ from startracker.detection.sources import (
     join_runs,
     measure_objects,
 )
-from startracker.detection.tiles import as_plane
+from startracker.detection.tiles import Plane, as_plane
 
 
 def plane(shape, value):
@@ -60,6 +60,24 @@ def test_a_run_goes_on_from_one_group_of_pixels_to_the_next(width):
     assert [4, 0, width] in runs.tolist()
     assert len(signal) == (image > 5.0).sum()
     assert (signal == 9.0).all()
+
+
+@pytest.mark.parametrize("heights", [(24, 24), (40, 8), (23, 40)])
+def test_groups_are_those_with_a_pixel_above_the_lower_of_two_lines_of_noise(heights):
+    """Lines of the noise map at two rows; the limit of the rows between is that of the lower line at each column."""
+    rng = np.random.default_rng(5)
+    height, step = heights
+    lines = rng.uniform(0.5, 3.0, (height // step + 2, 48)).astype(np.float32)
+    cell, share = np.divmod(np.arange(height), step)
+    noise = Plane(lines, cell, (share / step).astype(np.float32))
+    image = rng.exponential(1.0, (height, 48)).astype(np.float32)
+    groups, found, _ = search_rows(image, plane(image.shape, 0.0), noise, UNFILTERED, np.float32(2.0), 7)
+    limit = 2.0 * np.minimum(lines[cell], lines[cell + 1])
+    marked = (image > limit).reshape(height, -1, 8).any(axis=2)
+    assert 0.05 < marked.mean() < 0.95
+    rows, places = np.nonzero(marked)
+    assert groups.tolist() == np.column_stack([rows, 8 * places]).tolist()
+    assert np.array_equal(found, image.reshape(height, -1, 8)[rows, places])
 
 
 # ---------------------------------------------------------------------- tables
