@@ -33,6 +33,14 @@ _SLOWER = 4.0
 """A fault whose tests take this many times longer is noticed: it is an endless loop."""
 _PASSED, _NOT_FOUND = 0, 4
 """Exit statuses of pytest."""
+_CODE = ("*.nb[ic]", "*.sources")
+"""Files of the kernels' machine code, and of the digests of the sources that it was compiled from, without which the
+packages discard it."""
+
+
+def code_files(root: Path) -> list[Path]:
+    """Machine code in the packages of a checkout, and its digests."""
+    return [path for package in _PACKAGES for pattern in _CODE for path in (root / package).rglob(pattern)]
 
 
 class Copy:
@@ -45,11 +53,10 @@ class Copy:
             if (ROOT / name).is_file():
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy2(ROOT / name, folder / name)
-        for package in _PACKAGES:
-            for path in (ROOT / package).rglob("*.nb[ic]"):
-                target = folder / path.relative_to(ROOT)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(path, target)
+        for path in code_files(ROOT):
+            target = folder / path.relative_to(ROOT)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path, target)
 
     def passes(self, tests: Iterable[str], limit_s: float, record: Path | None = None) -> bool:
         """Whether the tests pass within a time; tests that are killed, by the system or by a crash, do not.
@@ -61,7 +68,8 @@ class Copy:
     def notices(self, fault: Fault, plan: Plan) -> bool:
         """Whether the tests fail with a fault; the copy is as before afterwards."""
         path = self.folder / fault.path
-        kept = self._take_caches(plan.stale)
+        kept = {file: file.read_bytes() for file in code_files(self.folder)}
+        self._discard(plan.stale)
         source = path.read_bytes()
         times = path.stat()
         limit_s = 60.0 + _SLOWER * plan.seconds
@@ -77,9 +85,7 @@ class Copy:
             path.write_bytes(source)
             # numba compares the time of the file with that in the cache
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
-            self._take_caches(plan.stale)
-            for cache, text in kept.items():
-                cache.write_bytes(text)
+            self._restore(kept)
 
     def _status(self, tests: Iterable[str], limit_s: float, record: Path | None = None) -> int | None:
         """Exit status of pytest, or none if it did not end."""
@@ -109,14 +115,21 @@ class Copy:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(tests_running.pid, signal.SIGKILL)
 
-    def _take_caches(self, files: Iterable[Path]) -> dict[Path, bytes]:
-        """Remove the machine code of files, which numba would not compile again, and return it."""
-        taken = {}
+    def _discard(self, files: Iterable[Path]) -> None:
+        """Remove the machine code of files, which numba would not compile again."""
         for path in (self.folder / file for file in files):
             for cache in path.parent.glob(f"__pycache__/{path.stem}.*.nb[ic]"):
-                taken[cache] = cache.read_bytes()
                 cache.unlink()
-        return taken
+
+    def _restore(self, kept: dict[Path, bytes]) -> None:
+        """Machine code as it was: with a fault, the packages discard that of every file which imports the changed
+        one."""
+        for file in code_files(self.folder):
+            if kept.get(file) != file.read_bytes():
+                file.unlink()
+        for file, text in kept.items():
+            if not file.exists():
+                file.write_bytes(text)
 
 
 def sample(area: Area, root: Path, count: int, seed: str) -> list[Fault]:

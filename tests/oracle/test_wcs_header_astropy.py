@@ -84,6 +84,18 @@ def test_the_stated_error_is_what_astropy_finds(fov_deg):
     assert header["CSYER1"] == header["CSYER2"]
 
 
+@pytest.mark.parametrize(
+    ("k1", "order", "exact"), [(-0.05, 7, True), (-0.08, 9, True), (-0.1, 9, False), (-0.12, 11, True)]
+)
+def test_the_order_is_the_lowest_that_is_good_enough(k1, order, exact):
+    """The lowest order good to 0.002 px; from the ninth on, SIP's highest, 0.9″ are enough."""
+    camera = Camera.from_fov(70.0, 1500, 1000, Distortion(k1=k1))
+    header = wcs_header(camera, Attitude.from_radec_roll(85.0, 8.6, 33.0))
+    assert header["A_ORDER"] == header["B_ORDER"] == order
+    assert (np.radians(header["CSYER1"]) / camera.pixel_rad < 0.002) == exact
+    assert 3600.0 * header["CSYER1"] < 0.9
+
+
 def test_a_lens_that_no_polynomial_follows_is_refused():
     attitude = Attitude.from_radec_roll(85.0, 8.6, 33.0)
     with pytest.raises(InputError, match=r"error of a WCS .* px at order 13"):

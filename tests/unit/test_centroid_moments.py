@@ -137,6 +137,26 @@ def test_moment_that_no_star_explains(moment):
     assert np.isnan(invert_moments(0.0, 3.9, -2, 2)[1])
 
 
+@pytest.mark.parametrize(("mean", "sigma"), [(1.9, 2.0), (1.999, 3.0), (2.1, 3.0), (2.5, 0.5)])
+def test_no_gaussian_has_a_mean_that_none_reaches(mean, sigma):
+    """Though one that is centred there has the variance: its mean over the window is another."""
+    _, seen, variance, *_ = window_moments(mean, sigma, -2, 2)
+    assert seen < mean - 0.05
+    assert invert_moment(mean, sigma, -2, 2)[1] == np.inf
+    assert np.isnan(invert_moments(mean, variance, -2, 2)[1])
+
+
+def test_widths_that_are_found_are_those_of_the_moments():
+    found = 0
+    for mean in (-1.4, -0.3, 0.0, 0.8, 1.7):
+        for variance in np.geomspace(0.02, 3.0, 12):
+            centre, width = invert_moments(mean, variance, -2, 2)
+            if np.isfinite(width):
+                assert window_moments(centre, width, -2, 2)[1:3] == pytest.approx((mean, variance), abs=1e-6)
+                found += 1
+    assert 20 < found < 55
+
+
 def test_bias_is_odd_and_vanishes_in_the_middle():
     offsets = np.linspace(-0.5, 0.5, 21)
     for integrated in (True, False):

@@ -215,6 +215,12 @@ def test_averages_after_an_innovation():
     assert second.scatter == 3.0**2 / 6.0  # the first difference replaces the assumed 1
     third = extended(second, Innovation(True, 4.0, 3, np.array([-2.0, 0.0, 0.0])), np.eye(3), 8.0)
     assert third.scatter == 0.5 * second.scatter
+    # the mean of all at first, and with exponential weights over 64 frames in the long run
+    for frames, weight in ((9, 0.1), (31, 1.0 / 32.0), (40, 2.0 / 65.0), (500, 2.0 / 65.0)):
+        long = extended(
+            second._replace(scatter=2.0, scatter_frames=frames), Innovation(True, 1.0, 3, np.ones(3)), np.eye(3), 8.0
+        )
+        assert long.scatter == pytest.approx(2.0 + weight * ((3.0**2 + 2.0) / 6.0 - 2.0))
     # an outlier is cut, one beyond belief or without a prediction ignored
     cut = extended(before, Innovation(False, 900.0, 3, np.array([0.0, 30.0, 0.0])), np.eye(3), 5.0)
     np.testing.assert_allclose(cut.last, [0.0, 5.5, 0.0])

@@ -1,12 +1,13 @@
 """Patterns in a hash table: keys, table, lookup against a linear search, correspondence, mirror images, statuses."""
 
 import math
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from startracker.catalog import load_catalog
@@ -99,6 +100,63 @@ def test_sets_come_brightest_first():
     assert len(seen) == len(set(seen)) == math.comb(9, 4)
     assert all(a < b < c < d for a, b, c, d in seen)
     assert [s[3] for s in seen] == sorted(s[3] for s in seen)
+
+
+# ---------------------------------------------------------------------- which patterns
+def some_fields(stars=40, fields=12, most=8):
+    """Directions within 10°, and the ascending brightest stars of overlapping fields; the last fields have fewer."""
+    rng = np.random.default_rng(8)
+    directions = rng.normal([0.0, 0.0, 12.0], 1.0, (stars, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rows = np.full((fields, most), -1)
+    for k, row in enumerate(rows):
+        count = most if k < fields - 3 else most - 2 * (k - fields + 4)
+        row[:count] = np.sort(rng.choice(stars, count, replace=False))
+    rows[0] = np.arange(most)
+    return directions, rows
+
+
+def words_of(stars):
+    return sum(int(star) << (16 * (3 - k)) for k, star in enumerate(stars))
+
+
+@pytest.mark.parametrize("level", [3, 5, 7])
+def test_packed_patterns_are_all_sets_of_a_faintest_star_within_the_limits(level):
+    directions, fields = some_fields()
+    smallest, widest = 0.1, 0.3
+    expected, left_out = [], 0
+    for row in fields:
+        for stars in combinations(row[:level], 3) if row[level] >= 0 else ():
+            points = directions[[*stars, row[level]]]
+            extent = max(np.linalg.norm(p - q) for p, q in combinations(points, 2))
+            if smallest <= extent <= widest:
+                expected.append(words_of([*stars, row[level]]))
+            left_out += not smallest <= extent <= widest
+    assert left_out
+    found = tables.pack_patterns(fields, directions, level, 1.0, smallest, widest)
+    assert sorted(found.tolist()) == sorted(expected)
+    shared = [set(tables.pack_patterns(fields, directions, level, s, smallest, widest).tolist()) for s in (0.2, 0.6)]
+    assert shared[0] <= shared[1] <= set(expected)  # those with the lowest hashes
+    if level == 7:
+        count = len(set(expected))
+        for found, share in zip(shared, (0.2, 0.6), strict=True):
+            assert abs(len(found) - share * count) < 4.0 * math.sqrt(share * (1.0 - share) * count)
+
+
+def test_lattice_of_attitudes():
+    """Rotations, one for each step of the lattice, spread over the sphere; no two neighbours are far or close."""
+    attitudes = tables.field_attitudes(CAMERA)
+    np.testing.assert_allclose(
+        attitudes @ attitudes.transpose(0, 2, 1), np.broadcast_to(np.eye(3), attitudes.shape), atol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.det(attitudes), 1.0)
+    axes = attitudes[:, 2]
+    assert np.abs(axes.mean(axis=0)).max() < 1e-3
+    np.testing.assert_allclose(axes.T @ axes / len(axes), np.eye(3) / 3.0, atol=2e-3)
+    nearest = cKDTree(axes).query(axes, 2)[0][:, 1]
+    side = math.sqrt(4.0 * math.pi / len(axes))
+    assert 0.5 * side < nearest.min()
+    assert nearest.max() < 1.2 * side
 
 
 # ---------------------------------------------------------------------- table
