@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from startracker.detection.trailed import _round_stars, decide, line_up, looks_trailed, select_trailed, trails_win
 
 from startracker.detection import Background, Spots
 from startracker.detection.forms import (
@@ -20,7 +21,6 @@ from startracker.detection.sources import (
     SOURCE,
 )
 from startracker.detection.tiles import as_plane
-from startracker.detection.trailed import _round_stars, decide, line_up, looks_trailed, select_trailed, trails_win
 from startracker.settings import DetectionSettings
 
 
