@@ -31,6 +31,7 @@ from startracker.flight.front_tables import FRONT_MODULES, FrontTables, front_ar
 from startracker.flight.pose import POSE_MODULES, PoseTables, pose_arrays, pose_constants, pose_tables
 from startracker.flight.search_export import search_arrays, search_constants, search_modules
 from startracker.flight.search_tables import SearchTables, search_tables
+from startracker.flight.unexplained import UNEXPLAINED_MODULES, unexplained_arrays, unexplained_constants
 from startracker.flight.unit_data import unit_test_data
 from startracker.integer_export import CExport
 
@@ -100,6 +101,7 @@ def flight_parts(tables: FlightTables) -> list[Part]:
         Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),
         Part(search_modules(search), search_constants(search), search_arrays(search)),
         Part(POSE_MODULES, pose_constants(pose), pose_arrays(pose)),
+        Part(UNEXPLAINED_MODULES, unexplained_constants(), unexplained_arrays(max(front.max_stars, pose.most_field))),
         Part(FOLLOWING_MODULES, following_constants(following), following_arrays(following)),
         Part(("solver", "frame"), {"SATURATED_PART": SATURATED_PART}, []),
     ]

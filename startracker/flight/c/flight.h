@@ -26,6 +26,7 @@
 #include "tracker_front.h"
 #include "tracker_pose.h"
 #include "tracker_search.h"
+#include "tracker_unexplained.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -40,7 +41,10 @@ struct tracker_context {
     union {
         struct tracker_front front;
         struct tracker_search search;
-        struct tracker_pose pose;
+        struct {
+            struct tracker_pose pose;
+            struct tracker_bright bright;
+        } fit;
     } work;
 };
 
