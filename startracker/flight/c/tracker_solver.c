@@ -77,7 +77,7 @@ static int are_of_another_field(struct tracker_context *context, const uint8_t *
     int k, guide, named = 0, inside = 0;
 
     for (k = 0; k < context->star_count; k++)
-        left[k] = (uint8_t)(seen[k] && found->best.guide[k] < 0);
+        left[k] = seen[k] && found->best.guide[k] < 0 ? 1 : 0;
     tracker_identify(&context->work.search, &context->observer, &nothing, context->star, context->direction, left,
                      context->star_count, &others);
     *steps += others.steps;

@@ -16,7 +16,7 @@
 #define FARTHEST ((int64_t)1 << 30)
 #define ERROR_BITS 10 /* from the stated variances to those of the fit */
 
-enum kind { LOST_STAR, SEEN_STAR, LOST_GUIDE, SEEN_GUIDE, BESIDE };
+enum { LOST_STAR, SEEN_STAR, LOST_GUIDE, SEEN_GUIDE, BESIDE };
 
 /* ------------------------------------------------------------------ the bright items */
 
@@ -57,7 +57,7 @@ static void take_items(struct tracker_bright *bright, const struct tracker_pose 
             continue;
         bright->star[bright->stars][0] = star[n].x;
         bright->star[bright->stars][1] = star[n].y;
-        bright->seen[bright->stars++] = (uint8_t)(pose->used[n] >= 0);
+        bright->seen[bright->stars++] = pose->used[n] >= 0 ? 1 : 0;
     }
     for (k = 0; k < pose->in_field; k++) {
         if (!tracker_guide_position(attitude, &pose->direction[k], bright->guide[bright->guides]))
@@ -83,7 +83,7 @@ static int has_neighbour(const int32_t at[2], int32_t others[][2], int count)
     return 0;
 }
 
-static void add_item(struct tracker_bright *bright, enum kind kind, const int32_t at[2])
+static void add_item(struct tracker_bright *bright, int kind, const int32_t at[2])
 {
     bright->kind[bright->items] = (uint8_t)kind;
     bright->position[bright->items][0] = at[0];
