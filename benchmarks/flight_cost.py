@@ -47,7 +47,7 @@ STAGES = {
         *("search", "votes", "pair", "candidates", "confirm", "verify", "evidence"),
         *("triads", "triad_votes", "cordic", "verification"),
     ),
-    "attitude": ("pose", "pose_fit", "arithmetic", "following", "attitude_filter", "attitude"),
+    "attitude": ("pose", "pose_fit", "unexplained", "arithmetic", "following", "attitude_filter", "attitude"),
     "directions, integers, library": ("directions", "integers", "separations", "library", "frame"),
 }
 """Modules of each stage; the last are called by several."""

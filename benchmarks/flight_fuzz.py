@@ -31,6 +31,7 @@ from startracker import Camera, DetectionSettings, StarTracker
 from startracker.flight.c_text import CExport
 from startracker.flight.design import IDENTIFIERS, DetectorNumbers, FlightDesign
 from startracker.flight.export import Part, assemble, flight_parts, flight_tables
+from startracker.flight.search_export import SEARCHES
 
 LONGEST = {"front": 300, "frames": 300, "stars": 120, "search": 120, "pose": 120, "filter": 196, "session": 336}
 """Fuzzers, and their longest inputs, bytes."""
@@ -107,7 +108,7 @@ def _smaller(part: Part, most_steps: int) -> Part:
     if "search_row" in arrays:
         steps = arrays["search_row"].values
         cut = np.hstack([steps[:, :-1], np.minimum(steps[:, -1:], most_steps)])
-        constants["SEARCH_MOST_STEPS"] -= 2 * int((steps - cut).sum())
+        constants["SEARCH_MOST_STEPS"] -= SEARCHES * int((steps - cut).sum())
         arrays["search_row"] = replace(arrays["search_row"], values=cut)
     return part._replace(constants=constants, arrays=list(arrays.values()))
 

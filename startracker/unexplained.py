@@ -58,10 +58,11 @@ LEAST_SHARE = 0.2
 """Unmatched stars of the part, and guide stars, as a fraction of the matched ones, below which the attitude is kept:
 the corner of a lens whose distortion is not known leaves the greater part of the image explained."""
 NO_ROWS = np.empty(0, np.int64)
-_DIRECTIONS = 8
+DIRECTIONS = 8
+"""Lines across the image, of which both sides are compared."""
 BRIGHT = 0.9
 """Fraction of the matched stars, brightest first, that sets how faint a star counts as bright."""
-_BESIDE_PX = 3.0
+BESIDE_PX = 3.0
 """A guide star and a centroid this close, but not matched, are one star whose position is displaced: neither counts."""
 _APART_PX = 12.0
 """Light this far from every centroid is not that of a star in the list."""
@@ -72,7 +73,7 @@ MOST_FALSE = 0.5
 """Fraction of the bright stars of an image that are matched, below which most of them are false, as on ridges: no part
 of the image then has a smaller fraction than the rest, and the guide stars are asked alone. In 25 such frames their G,
 with those that have light, is 5.9 at most; in 34 that are rolled by a fifth of their width it is 6 to 31 but for 3."""
-_BORDER_PX = 6.0
+BORDER_PX = 6.0
 """Guide stars closer to the border need not be detected."""
 FEWEST = 3
 """Unmatched stars, and guide stars, below which there is no contradiction."""
@@ -285,10 +286,10 @@ def _number_bright(matched: BoolArray) -> int:
 
 @kernel_part
 def _has_neighbour(x: float, y: float, others: FloatArray) -> bool:
-    """Whether a point has another within `_BESIDE_PX`."""
+    """Whether a point has another within `BESIDE_PX`."""
     near = 0
     for k in range(len(others)):
-        near += (x - others[k, 0]) ** 2 + (y - others[k, 1]) ** 2 < _BESIDE_PX**2
+        near += (x - others[k, 0]) ** 2 + (y - others[k, 1]) ** 2 < BESIDE_PX**2
     return near > 0
 
 
@@ -323,7 +324,7 @@ def _guide_stars(fit: Fitted, guide: GuideDatabase) -> tuple[IntArray, FloatArra
     """Guide stars on the image: index, vectors and pixels."""
     camera = fit.camera
     found: tuple[IntArray, FloatArray, FloatArray] = stars_on_image(
-        fit.matrix, field_cosine(camera), -_BORDER_PX, guide.directions, guide.grid, camera.image_map
+        fit.matrix, field_cosine(camera), -BORDER_PX, guide.directions, guide.grid, camera.image_map
     )
     return found
 
@@ -368,10 +369,10 @@ def contradiction(kind: IntArray, position: FloatArray) -> tuple[float, int, int
     if min(total[0], total[2]) >= FEWEST and min(total[1], total[3]) > 0:
         whole_stars, whole_guides = _log_likelihood(total[1], total[0]), _log_likelihood(total[3], total[2])
         key = np.empty((1, len(kind)))
-        for line in range(2 * _DIRECTIONS + 1):  # the last one is the circle about the matched stars
-            angle = math.pi * line / _DIRECTIONS
+        for line in range(2 * DIRECTIONS + 1):  # the last one is the circle about the matched stars
+            angle = math.pi * line / DIRECTIONS
             for n in range(len(kind)):
-                if line == 2 * _DIRECTIONS:
+                if line == 2 * DIRECTIONS:
                     x, y = position[n, 0] - middle[0] / total[3], position[n, 1] - middle[1] / total[3]
                     key[0, n] = -math.hypot(x, y)
                 else:

@@ -32,6 +32,7 @@ from startracker.flight.front_tables import FRONT_MODULES, FrontTables, front_ar
 from startracker.flight.pose import POSE_MODULES, PoseTables, pose_arrays, pose_constants, pose_tables
 from startracker.flight.search_export import search_arrays, search_constants, search_modules
 from startracker.flight.search_tables import SearchTables, search_tables
+from startracker.flight.unexplained import UNEXPLAINED_MODULES, unexplained_arrays, unexplained_constants
 from startracker.flight.unit_data import unit_test_data
 
 SATURATED_PART = 20
@@ -59,6 +60,8 @@ class FlightTables(NamedTuple):
     search: SearchTables
     pose: PoseTables
     following: FollowingTables
+    max_stars: int
+    """Stars of a frame or a list."""
 
 
 class Part(NamedTuple):
@@ -101,17 +104,18 @@ def flight_tables(design: FlightDesign) -> FlightTables:
     """
     following = following_tables(design.motion, design.tracking)
     front = front_tables(design) if design.takes_frames else None
-    return FlightTables(front, search_tables(design), pose_tables(design), following)
+    return FlightTables(front, search_tables(design), pose_tables(design), following, design.detection.max_stars)
 
 
 def flight_parts(tables: FlightTables) -> list[Part]:
     """What the stages give."""
-    front, search, pose, following = tables
+    front, search, pose, following, max_stars = tables
     grid = pose.grid
     from_lists = [
         Part(GRID_MODULES, grid_constants(grid), grid_arrays(grid)),
         Part(search_modules(search), search_constants(search), search_arrays(search)),
         Part(POSE_MODULES, pose_constants(pose), pose_arrays(pose)),
+        Part(UNEXPLAINED_MODULES, unexplained_constants(), unexplained_arrays(max(max_stars, pose.most_field))),
         Part(FOLLOWING_MODULES, following_constants(following), following_arrays(following)),
     ]
     if front is None:

@@ -20,3 +20,6 @@ class Reason(IntEnum):
     ROWS_MISSING = 9
     FRAME_UNIFORM = 10
     SATURATED_SHARE = 11
+    UNEXPLAINED = 12
+    FEW_DISAGREE = 13
+    ANOTHER_FIELD = 14

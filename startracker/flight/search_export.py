@@ -16,6 +16,8 @@ GATES = (
 )
 """Squares of the gates in units of the stated variances, 8 fraction bits, of the first round and of the others: 4.5
 times 14, 7, 7/3 and 0.8 stated errors; 4.5 times 32, 16, 16/3, 16/9 and 0.8."""
+SEARCHES = 3
+"""Most searches of a frame: within a prior, over the whole sky, and of what an attitude leaves unexplained."""
 ROUNDS, VERIFICATION_STEPS = 5, 500
 """Most rounds of a gate; steps of a verification besides those that grow with the numbers of stars."""
 KEPT = 8
@@ -103,7 +105,7 @@ def _most_neighbours(t: SearchTables) -> int:
 def _most_steps(t: SearchTables) -> int:
     """Bound on the steps of an identification: a search ends with the pass, or the verification, that exceeds its own.
 
-    Around a prior, there is a second one over the whole sky.
+    Around a prior, there is a second one over the whole sky, and another one of the stars that are not explained.
     """
     stars, depth = t.most_stars, t.seeing.shape[1] - 1
     windows = 2 * _most_neighbours(t) * len(t.first)
@@ -119,7 +121,7 @@ def _most_steps(t: SearchTables) -> int:
         hypothesis = _group_steps(0, t.triads.room, triad_numbers.MOST_NAMED)
         hypothesis += triad_numbers.MOST_CHECKED * verification
     beyond = len(t.guide) + windows + a_pass + hypothesis
-    return int(2 * (verification + sum(one.steps + beyond for one in t.searches)))
+    return int(SEARCHES * (verification + sum(one.steps + beyond for one in t.searches)))
 
 
 def _group_steps(triads: int, members: int, named: int) -> int:

@@ -171,7 +171,34 @@ def lists_of(design: Any, epoch: int) -> Iterator[tuple[str, StarList, Known]]:
         yield name, one, Known(velocity, at)
     for name, radius in (("narrow", 2000), ("all around", 843_314_857), ("largest", (1 << 32) - 1)):
         yield f"a {name} prior", one, Known(VELOCITY, epoch, 0, (*rows[0].ravel().tolist(), radius))
+    for name, stars in unexplained_lists(design):
+        yield name, stars, Known(VELOCITY, epoch)
     yield "no rotation", one, Known(VELOCITY, epoch, 0, (*([(1 << 31) - 1] * 9), 1 << 21))
+
+
+def unexplained_lists(design: Any) -> Iterator[tuple[str, StarList]]:
+    """Lists of two fields, halves swapped, a part whose stars are elsewhere or beside their guide stars, few stars of
+    which one is off."""
+    one, other = (made.stars for made in unit_lists(design)[:2])
+    width = design.camera.width << 16
+    for number in range(2, 22):
+        border = width * (number // 2) // 11
+        first, second = (one, other) if number % 2 else (other, one)
+        left, right = first.take(first.x < border), second.take(second.x >= border)
+        joined = StarList(*(np.concatenate(columns) for columns in zip(left, right, strict=True)))
+        yield f"two fields {number}", joined.take(np.argsort(-joined.flux, kind="stable"))
+    for name, stars in (("one", one), ("other", other)):
+        yield f"{name} swapped", stars._replace(x=(stars.x + width // 2) % width)
+        for number, limit in enumerate((width // 4, width // 3, width // 2)):
+            aside = stars.x < limit
+            mirrored = np.where(aside, limit - stars.x, stars.x)
+            yield f"{name} mirrored {number}", stars._replace(x=mirrored)
+            yield f"{name} beside {number}", stars._replace(x=stars.x + 2 * 65536 * ~aside, y=stars.y - 65536 * ~aside)
+        for few in (4, 5):
+            off = stars.take(np.arange(few))
+            for error in (30_000, 60_000):
+                x = off.x + error * (np.arange(few) == few - 1)
+                yield f"{name} {few} stars, one off {error}", off._replace(x=x)
 
 
 def events_of(design: Any) -> Iterator[Event]:

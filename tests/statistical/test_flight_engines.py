@@ -14,7 +14,7 @@ pytestmark = [
 ]
 FRAMES = 100
 LONG_TRAILS = "`gallery/smear`, over 36 px"
-"""Not within the limits (docs/flight.md): the flight build takes some pieces of trails for points."""
+"""Not within the limits (docs/flight.md): of the faintest trails the flight build finds fewer."""
 
 
 @pytest.fixture(scope="module", params=[name for name in CASES if name != LONG_TRAILS])

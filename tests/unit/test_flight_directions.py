@@ -61,6 +61,11 @@ class Directions:
         out = (ctypes.c_int32 * 2)()
         return list(out) if self.c.tracker_plane_of(x, y, out) else None
 
+    def image_of(self, plane):
+        """Pixel of 16 fraction bits of a tangent-plane position; None outside the image."""
+        out = (ctypes.c_int32 * 2)()
+        return list(out) if self.c.tracker_image_of((ctypes.c_int32 * 2)(*plane), out) else None
+
     def vector_of(self, plane):
         out = Vector()
         self.c.tracker_vector_of((ctypes.c_int32 * 2)(*plane), ctypes.byref(out))
@@ -117,6 +122,11 @@ def test_the_table_gives_the_directions_of_the_camera(name, arithmetic, tmp_path
     assert np.abs(camera.project(found) - xy).max() < 0.002
     assert np.abs((found**2).sum(axis=1) - 1.0).max() < 2e-8
     assert (np.abs(plane) <= built.tables.half + 200).all()  # 0.003 px
+    # and back: Newton's method ends within 0.001 px in the plane, where a pixel of the edge is up to half as large
+    back = [built.image_of(position) for position in plane]
+    assert np.abs(np.array(back) / 65536 - xy).max() < 0.003
+    beyond = np.array([[3, 3], [-3, 3], [0, 3], [-3, 0]]) * built.tables.half
+    assert not any(built.image_of(position) for position in np.clip(beyond, -(1 << 31), (1 << 31) - 1).tolist())
 
 
 def test_the_edge_of_the_image(distorted):

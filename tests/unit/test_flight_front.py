@@ -148,6 +148,26 @@ def test_trails_found_before_the_frame_is_one_of_points(tmp_path):
     assert_same(found, CompiledFront(tables, tmp_path, *CAREFUL).measure(image))
 
 
+def test_pieces_of_broken_trails_do_not_make_the_motion(design, tmp_path):
+    """More pieces of half the length than whole trails, and the first of both are pieces: all whole trails are found in
+    their middles, and nothing at 7 px from them, where their halves would be."""
+    rng, size, along, half = np.random.default_rng(8), 480, 28.0, 24
+    image = rng.normal(100.0, 4.0, (size, size))
+    y, x = np.mgrid[-half : half + 1, -half : half + 1]
+    middles = np.stack(np.meshgrid(np.arange(60.0, 440.0, 90.0), np.arange(60.0, 440.0, 90.0)), axis=-1).reshape(-1, 2)
+    offset = rng.uniform(-0.5, 0.5, middles.shape)
+    whole = np.arange(len(middles)) % 5 > 2
+    for (sx, sy), (dx, dy), share in zip(middles.astype(int), offset, np.where(whole, 1.0, 0.5), strict=True):
+        steps = along * share * np.arange(-0.49, 0.5, 0.02)[:, None, None]
+        line = np.exp(-((x - dx - steps) ** 2 + (y - dy - steps) ** 2) / 1.6).mean(axis=0)
+        image[sy - half : sy + half + 1, sx - half : sx + half + 1] += 1060.0 * share**2 * line
+    middles += offset
+    found = CompiledFront(resized(design, size, size), tmp_path).measure(np.rint(image).astype(np.uint16))
+    away = np.hypot(*(found.stars.xy_px[:, None] - middles[whole]).transpose(2, 0, 1))
+    assert (away.min(axis=0) < 0.5).all()
+    assert np.count_nonzero((away.min(axis=1) > 2.0) & (away.min(axis=1) < 20.0)) == 0
+
+
 def test_memory_of_a_megapixel(design, tmp_path):
     """With the 2 KiB of a star list beside it less than the 64 KiB that the whole context may have."""
     assert CompiledFront(resized(design, 1024, 1024), tmp_path).bytes <= 62 * 1024

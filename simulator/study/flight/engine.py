@@ -43,6 +43,9 @@ _SAYS = {
     "rows_missing": "the frame has fewer rows than the camera",
     "frame_uniform": "all pixels have the same value",
     "saturated_share": "a large part of the frame is saturated",
+    "unexplained": "{matched} of {stars} stars fit, but bright stars and bright guide stars are unexplained",
+    "few_disagree": "{matched} of {stars} stars fit, but one of so few is off by more than its stated error allows",
+    "another_field": "{matched} of {stars} stars fit, but of the others most are those of another field",
 }
 """Text of each ``enum tracker_reason``."""
 

@@ -26,6 +26,7 @@
 #endif /* frames */
 #include "tracker_pose.h"
 #include "tracker_search.h"
+#include "tracker_unexplained.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -42,7 +43,10 @@ struct tracker_context {
         struct tracker_front front;
 #endif /* frames */
         struct tracker_search search;
-        struct tracker_pose pose;
+        struct {
+            struct tracker_pose pose;
+            struct tracker_bright bright;
+        } fit;
     } work;
 };
 

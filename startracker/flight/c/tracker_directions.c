@@ -12,6 +12,9 @@
 #define WEIGHT_BITS 26
 #define CELL ((int64_t)1 << 26)
 #define LEAST_LENGTH (1 << 16)
+#define MOST_STEPS 8
+#define CLOSE 64        /* 0.001 px */
+#define LEAST_AREA 8192 /* of a pixel in the plane, 16 fraction bits: 1/8 */
 
 static void to_array(const struct tracker_vector *vector, int64_t out[3])
 {
@@ -85,6 +88,34 @@ void tracker_slopes_of(int32_t x, int32_t y, int32_t slopes[2][2])
         for (k = 0; k < 2; k++)
             slopes[k][axis] = after[k] - before[k];
     }
+}
+
+/* Newton's method from the middle of the image. Every step ends on the image, so that what is beyond it ends at its edge. */
+int tracker_image_of(const int32_t plane[2], int32_t xy[2])
+{
+    const int64_t size[2] = {TRACKER_GRID_WIDTH, TRACKER_GRID_HEIGHT};
+    int32_t slopes[2][2], here[2];
+    int64_t away[2], area, moved;
+    int step, k;
+
+    for (k = 0; k < 2; k++)
+        xy[k] = (int32_t)(size[k] * HALF_PX - HALF_PX);
+    for (step = 0; step < MOST_STEPS; step++) {
+        interpolate(xy[0], xy[1], here);
+        for (k = 0; k < 2; k++)
+            away[k] = (int64_t)plane[k] - here[k];
+        if (tracker_largest(away, 2) < CLOSE)
+            return 1;
+        tracker_slopes_of(xy[0], xy[1], slopes);
+        area = tracker_shift_right((int64_t)slopes[0][0] * slopes[1][1] - (int64_t)slopes[0][1] * slopes[1][0], 16);
+        if (tracker_magnitude(area) < LEAST_AREA)
+            return 0;
+        for (k = 0; k < 2; k++) {
+            moved = (slopes[1 - k][1 - k] * away[k] - slopes[k][1 - k] * away[1 - k]) / area;
+            xy[k] = (int32_t)tracker_limited(xy[k] + moved, -HALF_PX, size[k] * 65536 - HALF_PX - 1);
+        }
+    }
+    return 0;
 }
 
 void tracker_vector_of(const int32_t plane[2], struct tracker_vector *vector)

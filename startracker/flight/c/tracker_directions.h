@@ -10,6 +10,9 @@ int tracker_plane_of(int32_t x, int32_t y, int32_t plane[2]);
 /* d(u, v)/d(x, y) at an image position, 16 fraction bits. */
 void tracker_slopes_of(int32_t x, int32_t y, int32_t slopes[2][2]);
 
+/* Image position of a tangent-plane position, to 0.002 px; 0: it is not on the image. At most 8 interpolations with slopes. */
+int tracker_image_of(const int32_t plane[2], int32_t xy[2]);
+
 /* Unit vector of 2.30 in camera axes of a tangent-plane position. */
 void tracker_vector_of(const int32_t plane[2], struct tracker_vector *vector);
 

@@ -83,6 +83,7 @@ struct tracker_front_trail {
     int32_t flux, y, x;
     uint32_t variance;
     int16_t along_x, along_y;
+    int16_t own_x, own_y;           /* the length that was fitted without a known motion; zeros: there was no such fit */
 };
 
 /* Motion that trails share: their length along both axes in the middle of the frame, 8 fraction bits, and its change per

@@ -4,6 +4,7 @@
 #define FEWEST_AGREEING 4 /* trails that make a motion, */
 #define FEWEST_TURNED 8   /* and that show whether the camera turns about its boresight */
 #define ROUNDS 3
+#define LARGEST_SHARE 4
 #define FASTEST_TURN ((int64_t)1 << 26)
 
 void tracker_front_motion_at(const struct tracker_front_motion *motion, int64_t x, int64_t y, int64_t along[2])
@@ -14,13 +15,13 @@ void tracker_front_motion_at(const struct tracker_front_motion *motion, int64_t 
     along[1] = motion->along_y + tracker_shift_right(motion->turn * right, 20);
 }
 
-/* Length of a trail along both axes in the sense of the motion, and the motion's there. */
-static void turned(const struct tracker_front_trail *trail, const struct tracker_front_motion *motion, int64_t own[2],
-                   int64_t along[2])
+/* A length along both axes in the sense of the motion at a trail, and the motion's there. */
+static void turned(const struct tracker_front_trail *trail, int32_t x, int32_t y, const struct tracker_front_motion *motion,
+                   int64_t own[2], int64_t along[2])
 {
     tracker_front_motion_at(motion, trail->x, trail->y, along);
-    own[0] = trail->along_x;
-    own[1] = trail->along_y;
+    own[0] = x;
+    own[1] = y;
     if (own[0] * along[0] + own[1] * along[1] < 0) {
         own[0] = -own[0];
         own[1] = -own[1];
@@ -28,18 +29,28 @@ static void turned(const struct tracker_front_trail *trail, const struct tracker
 }
 
 /* To 1 px and a fifth of its length. */
-int tracker_front_agrees(const struct tracker_front_trail *trail, const struct tracker_front_motion *motion)
+static int is_near(const int64_t own[2], const int64_t along[2])
 {
-    int64_t own[2], along[2], limit;
+    const int64_t limit = 256 + tracker_square_root(along[0] * along[0] + along[1] * along[1]) / 5;
+    const int64_t x = own[0] - along[0], y = own[1] - along[1];
 
-    turned(trail, motion, own, along);
-    limit = 256 + tracker_square_root(along[0] * along[0] + along[1] * along[1]) / 5;
-    own[0] -= along[0];
-    own[1] -= along[1];
-    return own[0] * own[0] + own[1] * own[1] <= limit * limit;
+    return x * x + y * y <= limit * limit;
 }
 
-/* The motion, by least squares over the trails that agree with it. */
+int tracker_front_agrees(const struct tracker_front_trail *trail, const struct tracker_front_motion *motion)
+{
+    int64_t own[2], along[2];
+
+    turned(trail, trail->along_x, trail->along_y, motion, own, along);
+    return is_near(own, along);
+}
+
+static int has_own(const struct tracker_front_trail *trail)
+{
+    return trail->own_x != 0 || trail->own_y != 0;
+}
+
+/* The motion, by least squares over the trails whose own lengths agree with it. */
 static void fit_motion(const struct tracker_front *front, struct tracker_front_motion *motion)
 {
     int64_t own[2], along[2], x, y, sx = 0, sy = 0, ax = 0, ay = 0, moment = 0, square = 0, below, turn = 0;
@@ -48,9 +59,9 @@ static void fit_motion(const struct tracker_front *front, struct tracker_front_m
 
     for (n = 0; n < front->trails; n++) {
         trail = &front->trail[n];
-        if (!tracker_front_agrees(trail, motion))
+        turned(trail, trail->own_x, trail->own_y, motion, own, along);
+        if (!has_own(trail) || !is_near(own, along))
             continue;
-        turned(trail, motion, own, along);
         x = tracker_shift_right(trail->x, 15) - TRACKER_WIDTH;
         y = tracker_shift_right(trail->y, 15) - TRACKER_HEIGHT;
         sx += x;
@@ -72,23 +83,38 @@ static void fit_motion(const struct tracker_front *front, struct tracker_front_m
     motion->turn = (int32_t)turn;
 }
 
-/* The middle one of the trails' lengths along an axis, in the sense of the brightest. */
+/* The middle of the trails' own lengths along an axis, in the sense of the brightest, by their light: broken trails, which
+ * have pieces of all lengths, are faint. No trail counts more than LARGEST_SHARE times as much as the one of middle light. */
 static int32_t middle_along(const struct tracker_front *front, int axis)
 {
     int32_t values[TRACKER_MAX_STARS] = {0}, value;
+    int64_t weights[TRACKER_MAX_STARS] = {0}, weight, most = (int64_t)LARGEST_SHARE * front->trail[front->trails / 2].flux;
+    int64_t total = 0, below = 0;
     const struct tracker_front_trail *first = &front->trail[0], *trail;
-    int n, k;
+    int n, k, count = 0;
 
     for (n = 0; n < front->trails; n++) {
         trail = &front->trail[n];
-        value = axis == 0 ? trail->along_x : trail->along_y;
-        if ((int32_t)trail->along_x * first->along_x + (int32_t)trail->along_y * first->along_y < 0)
+        if (!has_own(trail))
+            continue;
+        value = axis == 0 ? trail->own_x : trail->own_y;
+        if ((int32_t)trail->own_x * first->along_x + (int32_t)trail->own_y * first->along_y < 0)
             value = -value;
-        for (k = n; k > 0 && values[k - 1] > value; k--)
+        weight = tracker_smaller(trail->flux, most);
+        total += weight;
+        for (k = count++; k > 0 && values[k - 1] > value; k--) {
             values[k] = values[k - 1];
+            weights[k] = weights[k - 1];
+        }
         values[k] = value;
+        weights[k] = weight;
     }
-    return values[front->trails / 2];
+    for (k = 0; k < count - 1; k++) {
+        below += weights[k];
+        if (2 * below > total)
+            break;
+    }
+    return values[k];
 }
 
 /* The motion that at least four of the trails, and a third of them, share. */

@@ -147,6 +147,13 @@ static void in_pixels(int32_t inverse[2][2], int64_t u, int64_t v, int64_t out[2
         out[k] = tracker_shift_right(inverse[k][0] * u + inverse[k][1] * v, 16);
 }
 
+void tracker_pose_residual(struct tracker_pose *pose, int n, int64_t out[2])
+{
+    const int32_t *p = pose->predicted[pose->used[n]];
+
+    in_pixels(pose->inverse[n], (int64_t)pose->plane[n][0] - p[0], (int64_t)pose->plane[n][1] - p[1], out);
+}
+
 /* Squared distance in pixels, 32 fraction bits. */
 static int64_t distance_square(int32_t inverse[2][2], int64_t u, int64_t v)
 {
@@ -238,13 +245,11 @@ static int linearise(struct tracker_pose *pose, const int64_t *variance)
 
     for (n = 0; n < pose->stars; n++) {
         struct tracker_pose_star *star = &pose->star[count];
-        const int32_t *p;
         int64_t away[2];
         if (pose->used[n] < 0)
             continue;
-        p = pose->predicted[pose->used[n]];
-        make_columns(pose, n, p, star->columns);
-        in_pixels(pose->inverse[n], (int64_t)pose->plane[n][0] - p[0], (int64_t)pose->plane[n][1] - p[1], away);
+        make_columns(pose, n, pose->predicted[pose->used[n]], star->columns);
+        tracker_pose_residual(pose, n, away);
         for (axis = 0; axis < 2; axis++)
             star->residual[axis] = clipped(away[axis], LARGEST_RESIDUAL);
         star->variance = variance[n];

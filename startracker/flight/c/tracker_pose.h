@@ -37,4 +37,7 @@ int tracker_solve_pose(struct tracker_pose *pose, const struct tracker_star *sta
                        int16_t guide[TRACKER_MAX_STARS], const struct tracker_observer *observer,
                        struct tracker_matrix *attitude, int64_t covariance[3][3]);
 
+/* Residual of a star that the attitude was fitted to: measured minus predicted, pixels of 16 fraction bits. */
+void tracker_pose_residual(struct tracker_pose *pose, int n, int64_t out[2]);
+
 #endif

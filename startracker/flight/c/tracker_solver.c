@@ -53,7 +53,7 @@ static int fit_pose(struct tracker_context *context, struct tracker_found *found
 {
     int k;
 
-    answer->used = tracker_solve_pose(&context->work.pose, context->star, context->star_count, found->best.guide,
+    answer->used = tracker_solve_pose(&context->work.fit.pose, context->star, context->star_count, found->best.guide,
                                       &context->observer, &found->best.attitude, answer->covariance);
     if (answer->used == 0)
         return 0;
@@ -63,6 +63,50 @@ static int fit_pose(struct tracker_context *context, struct tracker_found *found
         if (found->best.guide[k] >= 0)
             answer->number[k] = tracker_guide_number[found->best.guide[k]];
     return 1;
+}
+
+/* Whether the stars that an attitude was not fitted to are identified by themselves, most of them as stars beyond its field. */
+static int are_of_another_field(struct tracker_context *context, const uint8_t *seen, const struct tracker_found *found,
+                                const struct tracker_matrix *attitude, int64_t *steps)
+{
+    static const struct tracker_prior nothing = {{{{0, 0, 0}, {0, 0, 0}, {0, 0, 0}}}, 0};
+    struct tracker_vector direction;
+    struct tracker_found others;
+    uint8_t left[TRACKER_MAX_STARS];
+    int32_t xy[2];
+    int k, guide, named = 0, inside = 0;
+
+    for (k = 0; k < context->star_count; k++)
+        left[k] = seen[k] && found->best.guide[k] < 0 ? 1 : 0;
+    tracker_identify(&context->work.search, &context->observer, &nothing, context->star, context->direction, left,
+                     context->star_count, &others);
+    *steps += others.steps;
+    for (k = 0; k < context->star_count && others.reason == TRACKER_ACCEPTED; k++) {
+        guide = others.best.guide[k];
+        if (guide < 0)
+            continue;
+        named++;
+        tracker_apparent(tracker_guide_direction[guide], tracker_guide_motion[guide], &context->observer, &direction);
+        inside += tracker_guide_position(attitude, &direction, xy);
+    }
+    return named > 2 * inside;
+}
+
+/* Why a fitted attitude is refused although chance does not explain it; TRACKER_ACCEPTED: it is not. */
+static enum tracker_reason refusal(struct tracker_context *context, const uint8_t *seen, struct tracker_found *found,
+                                   const struct tracker_matrix *attitude)
+{
+    struct tracker_unexplained left;
+
+    if (tracker_few_disagree(&context->work.fit.pose, context->star))
+        return TRACKER_FEW_DISAGREE;
+    tracker_find_unexplained(&context->work.fit.bright, &context->work.fit.pose, attitude, context->star,
+                             context->star_count, &left);
+    if (tracker_contradicts(&left))
+        return TRACKER_UNEXPLAINED;
+    if (tracker_is_doubtful(&left) && are_of_another_field(context, seen, found, attitude, &found->steps))
+        return TRACKER_ANOTHER_FIELD;
+    return TRACKER_ACCEPTED;
 }
 
 void tracker_solve_list(struct tracker_context *context, struct tracker_answer *answer)
@@ -77,17 +121,17 @@ void tracker_solve_list(struct tracker_context *context, struct tracker_answer *
     tracker_identify(&context->work.search, &context->observer, &context->info.prior, context->star, context->direction, seen,
                      context->star_count, &found);
     answer->reason = found.reason;
-    if (found.reason == TRACKER_ACCEPTED && !fit_pose(context, &found, answer)) {
+    if (found.reason == TRACKER_ACCEPTED)
+        answer->reason = fit_pose(context, &found, answer) ? refusal(context, seen, &found, &answer->attitude) : TRACKER_POSE_FAILED;
+    if (answer->reason != TRACKER_ACCEPTED)
         clear(answer);
-        answer->reason = TRACKER_POSE_FAILED;
-    }
     answer->status = status_of(answer->reason);
     answer->stars = context->star_count;
     answer->matched = found.best.matched;
     answer->evidence = (int32_t)found.best.evidence;
     answer->chance = (int32_t)found.chance;
     answer->steps = (int32_t)found.steps;
-    answer->prior_contradicted = found.contradicted;
+    answer->prior_contradicted = answer->status == TRACKER_SOLVED && found.contradicted;
 }
 
 void tracker_solve_stars(struct tracker_context *context, const struct tracker_star *star, int count,

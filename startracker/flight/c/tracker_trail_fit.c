@@ -290,8 +290,8 @@ static int make_trail(const struct walk *walk, const struct sums *sums, int32_t 
     trail->x = (int32_t)line->x;
     trail->y = (int32_t)line->y;
     trail->variance = (uint32_t)tracker_limited(variance, 0, UINT32_MAX);
-    trail->along_x = (int16_t)half_x;
-    trail->along_y = (int16_t)half_y;
+    trail->along_x = trail->own_x = (int16_t)half_x;
+    trail->along_y = trail->own_y = (int16_t)half_y;
     return 1;
 }
 
@@ -380,6 +380,8 @@ void tracker_front_measure_trail(struct tracker_front *front, const struct track
             line.sin = tracker_floor_quotient(along[1] * 8388608, length);
             start_along(front, &line);
             if (fit_trail(front, &line, noise, 0, &other)) {
+                other.own_x = (int16_t)(found ? trail.own_x : 0);
+                other.own_y = (int16_t)(found ? trail.own_y : 0);
                 trail = other;
                 found = 1;
             }

@@ -73,7 +73,10 @@ enum tracker_reason {
     TRACKER_STEPS_USED_UP,   /* the steps of the search, or its room, were used up before an attitude was accepted */
     TRACKER_ROWS_MISSING,    /* tracker_finish before TRACKER_HEIGHT rows */
     TRACKER_FRAME_UNIFORM,   /* the frame has no noise */
-    TRACKER_SATURATED_SHARE  /* a large part of the frame is saturated */
+    TRACKER_SATURATED_SHARE, /* a large part of the frame is saturated */
+    TRACKER_UNEXPLAINED,     /* the attitude leaves bright stars unexplained where bright guide stars are without a star */
+    TRACKER_FEW_DISAGREE,    /* only three or four stars fit, and one of them is off by more than its stated error allows */
+    TRACKER_ANOTHER_FIELD    /* the stars that the attitude leaves unexplained are those of another field */
 };
 
 /* The result of a frame or of a list. */

@@ -133,7 +133,7 @@ static inline void check_answer(struct tracker_answer *answer)
 {
     int named = 0, k;
 
-    require(answer->status <= TRACKER_BAD_IMAGE && answer->reason <= TRACKER_SATURATED_SHARE);
+    require(answer->status <= TRACKER_BAD_IMAGE && answer->reason <= TRACKER_ANOTHER_FIELD);
     require((answer->status == TRACKER_SOLVED) == (answer->reason == TRACKER_ACCEPTED));
     require(answer->stars >= 0 && answer->stars <= TRACKER_MAX_STARS);
     require(answer->matched >= 0 && answer->matched <= answer->stars);

@@ -26,7 +26,8 @@ static const char *const statuses[] = {"solved",   "no_stars",  "too_few_stars",
                                        "no_match", "ambiguous", "search_limit",  "bad_image"};
 static const char *const reasons[] = {"accepted",      "nothing_found", "few_found",     "no_hypothesis",
                                       "weak_evidence", "above_rate",    "rival",         "pose_failed",
-                                      "steps_used_up", "rows_missing",  "frame_uniform", "saturated_share"};
+                                      "steps_used_up", "rows_missing",  "frame_uniform", "saturated_share",
+                                      "unexplained",   "few_disagree",  "another_field"};
 
 /* Prints a number of 2.30 with ten decimals, which distinguish all of them. */
 static void print_fraction(int32_t value)
