@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import dataclasses
 import datetime
+import functools
 import json
 import os
 import random
@@ -27,7 +28,7 @@ from simulator.study.statistics import wilson_interval
 
 ROOT = Path(__file__).resolve().parents[2]
 KNOWN_EQUIVALENT = Path(__file__).with_name("equivalent.txt")
-"""Faults that change nothing which a user can observe, each with the reason, as ``fault | reason``."""
+"""Faults that change nothing which a user can observe: ``path | line of the source | before → after | reason``."""
 _PACKAGES = ("simulator", "startracker")
 _SLOWER = 4.0
 """A fault whose tests take this many times longer is noticed: it is an endless loop."""
@@ -145,9 +146,27 @@ def named(area: Area, root: Path, begin: str) -> list[Fault]:
 
 
 def known_equivalent() -> dict[str, str]:
-    """Faults that change nothing, with the reason of each."""
-    rows = (line.split(" | ") for line in KNOWN_EQUIVALENT.read_text(encoding="utf-8").splitlines() if " | " in line)
-    return dict(rows)
+    """Faults of today's files that change nothing, with the reason of each.
+
+    Raises
+    ------
+    ValueError
+        For an entry of a line that is no longer there.
+    """
+    found: dict[str, str] = {}
+    for row in KNOWN_EQUIVALENT.read_text(encoding="utf-8").splitlines():
+        path, rest = row.split(" | ", 1)
+        text, change, reason = rest.rsplit(" | ", 2)
+        same = [fault for fault in _faults_in(Path(path)) if (fault.text, fault.change) == (text, change)]
+        if not same:
+            raise ValueError(f"{KNOWN_EQUIVALENT.name}: no such fault: {row}")
+        found |= {str(fault): reason for fault in same}
+    return found
+
+
+@functools.cache
+def _faults_in(path: Path) -> list[Fault]:
+    return faults_of(path, (ROOT / path).read_bytes()) if (ROOT / path).is_file() else []
 
 
 def main() -> None:

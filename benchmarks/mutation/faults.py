@@ -66,19 +66,26 @@ class Fault:
     end: int
     before: str
     after: str
+    text: str
+    """The line of the source."""
 
     def planted(self, source: bytes) -> bytes:
         """The file's text with the fault."""
         return source[: self.start] + b"(" + self.after.encode() + b")" + source[self.end :]
 
+    @property
+    def change(self) -> str:
+        """What becomes what."""
+        return f"{_short(self.before)} → {_short(self.after)}"
+
     def __str__(self) -> str:
-        return f"{self.path}:{self.line}: {_short(self.before)} → {_short(self.after)}"
+        return f"{self.path}:{self.line}: {self.change}"
 
 
 def faults_of(path: Path, source: bytes) -> list[Fault]:
     """All faults that can be planted in a Python file, in the order of the file."""
-    starts = [0]
-    for line in source.splitlines(keepends=True):
+    starts, lines = [0], source.splitlines(keepends=True)
+    for line in lines:
         starts.append(starts[-1] + len(line))
     found = []
     tree = ast.parse(source)
@@ -87,7 +94,8 @@ def faults_of(path: Path, source: bytes) -> list[Fault]:
         start = starts[node.lineno - 1] + node.col_offset
         end = starts[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
         for changed in _changes(node, roles):
-            found.append(Fault(path, node.lineno, start, end, ast.unparse(node), ast.unparse(changed)))
+            text = lines[node.lineno - 1].decode().strip()
+            found.append(Fault(path, node.lineno, start, end, ast.unparse(node), ast.unparse(changed), text))
     return found
 
 

@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from startracker.detection.trailed import _round_stars, decide, line_up, looks_trailed, select_trailed, trails_win
 
 from startracker.detection import Background, Spots
+from startracker.detection.components import _round_stars, decide, line_up, looks_trailed, select_trailed, trails_win
 from startracker.detection.forms import (
     MOTION_TOLERANCE_PX,
     MOTION_TOLERANCE_SHARE,

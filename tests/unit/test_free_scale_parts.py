@@ -411,7 +411,7 @@ def test_lists_of_centroids_with_their_variances():
     assert _points_of_list(np.array([[0.0, 0.0]]), None, None, 1, 1).xy.tolist() == [[0.0, 0.0]]
     for bad in ([0.1] * 4, [0.1, 0.2, 0.3, 0.4, 0.0], [0.1, 0.2, 0.3, 0.4, np.inf], [np.nan] * 5):
         with pytest.raises(InputError):
-            _variance_of(points.xy, xy, bad)
+            _variance_of(np.array([2, 4, 0]), len(xy), bad)
 
 
 def test_what_a_search_of_a_photograph_is_given(monkeypatch):

@@ -238,7 +238,7 @@ def test_evidence_that_is_needed():
             one = pool(hypothesis(needed + SURE_BEYOND + more), prior=prior)
             assert one.decided is decided
             two = pool(hypothesis(needed + more), prior=prior)
-            assert (two.judge(OBSERVED).status is Status.SOLVED) is decided
+            assert (two.outcome(OBSERVED).status is Status.SOLVED) is decided
             assert two.log_chance == pytest.approx(math.log(0.02) - gain - needed - more)
     assert not pool().decided
     assert pool().log_chance == 0.0
@@ -290,7 +290,7 @@ def test_hypotheses_outside_a_prior_are_none():
     ],
 )  # fmt: skip
 def test_the_judgement_of_a_pool(hypotheses, changes, status, words):
-    found = pool(*hypotheses, operations=321, **changes).judge(OBSERVED)
+    found = pool(*hypotheses, operations=321, **changes).outcome(OBSERVED)
     assert (found.status, found.operations) == (status, 321)
     assert words in found.reason
     assert len(found.pairs) == (6 if status is Status.SOLVED else 0)

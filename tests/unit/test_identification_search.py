@@ -67,7 +67,7 @@ def test_triangles_under_each_assumption_come_before_votes(monkeypatch, ends, fi
 
     class Fake:
         fits_as_stated = fits
-        pool = SimpleNamespace(judge=lambda stars: ("judged", len(stars)))
+        pool = SimpleNamespace(outcome=lambda stars: ("outcome", len(stars)))
 
         def __init__(self, *given):
             pass
@@ -81,7 +81,7 @@ def test_triangles_under_each_assumption_come_before_votes(monkeypatch, ends, fi
             return seen[-1] in ends
 
     monkeypatch.setattr(module, "_Search", Fake)
-    assert module.adaptive(observed(), None) == ("judged", 12)
+    assert module.adaptive(observed(), None) == ("outcome", 12)
     assert seen == calls
 
 

@@ -5,13 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from simulator.sky.solar_system import RADIUS_KM
 
 from simulator.sky import background, catalogue_errors, faint_stars, instants
 from simulator.sky.apparent import largest_shift_rad
 from simulator.sky.celestial_frames import GALACTIC
 from simulator.sky.colours import population_giant_share, spectral_coordinates
 from simulator.sky.extinction import extinction_over_av, relative_extinction
+from simulator.sky.instants import RADIUS_KM
 from simulator.sky.magnitudes import SATURN_POLE, URANUS_AXES_SQUARED, URANUS_POLE, moon_v, sun_v
 from simulator.sky.parameters import SatelliteParameters, Sky
 from simulator.sky.satellites import behind_earth, standard_magnitude, sunlit_share
