@@ -33,7 +33,7 @@ AMPLITUDE_SIGMA = np.array([*np.tile([1.4, 1.4, 0.7, 0.7], 2), 3.0])
 the corners."""
 _SHARED_PART = 0.1
 """Ratio of the common shift of all stars to the amplitude of the cosines, measured for coma in and out of focus."""
-_UNCERTAIN = 0.4
+_UNCERTAIN = 0.6
 """Part of that shift that remains uncertain where star images show it, as in `startracker.centroid.asymmetry`."""
 
 
