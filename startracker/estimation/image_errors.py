@@ -33,9 +33,8 @@ AMPLITUDE_SIGMA = np.array([*np.tile([1.4, 1.4, 0.7, 0.7], 2), 3.0])
 the corners."""
 _SHARED_PART = 0.1
 """Ratio of the common shift of all stars to the amplitude of the cosines, measured for coma in and out of focus."""
-_UNCERTAIN = 0.6
-"""Part of that shift that remains uncertain where star images show it, measured: for coma at f/1.4 in focus, of whose
-images all light is in a pixel, 0.4 made the covariance too small."""
+_UNCERTAIN = 0.4
+"""Part of that shift that remains uncertain where star images show it, as in `startracker.centroid.asymmetry`."""
 
 
 class ImageErrors(NamedTuple):

@@ -36,10 +36,10 @@ def fitted():
 
 def test_a_shift_that_the_star_images_show_is_not_counted_twice(fitted):
     """A tenth of the cosine's amplitude stands for a common shift of which nothing else is known. Where star images
-    show it, so that it is subtracted, 0.6 of it remains: with all of it, and the error of what is subtracted, the
+    show it, so that it is subtracted, 0.4 of it remains: with all of it, and the error of what is subtracted, the
     covariance was twice the errors (coma of 0.1 waves and 12 µm of defocus at f/1.4)."""
     unknown, shown, more = (fitted(common) for common in (None, np.zeros((2, 2)), np.diag([0.004**2, 0.0])))
     # of 40 stars the amplitude is known to 0.01 √(2/40) = 0.002 px; the cosine of the measured position is not quite
     # that of the true one
-    assert np.sqrt((unknown - shown) / (1.0 - 0.6**2)) == pytest.approx(0.1 * AMPLITUDE_PX, rel=0.1)
+    assert np.sqrt((unknown - shown) / (1.0 - 0.4**2)) == pytest.approx(0.1 * AMPLITUDE_PX, rel=0.1)
     assert more - shown == pytest.approx(0.004**2, rel=0.01)
