@@ -186,7 +186,9 @@ def correct_asymmetry(
 ) -> FloatArray:
     """Subtract the displacement relative to reference stars from the positions of fits (N, 6), in place.
 
-    The part of its error that differs between stars is added to their covariances.
+    The part of its error that differs between stars is added to their covariances. Stars in `unfit` are saturated or at
+    the border: the pixels that are left of their images displace them by an unknown amount. They keep their positions,
+    and the whole displacement of faint stars is added to their covariances.
 
     Returns
     -------
@@ -194,10 +196,13 @@ def correct_asymmetry(
         Covariance of the error that all positions then share, px².
     """
     xx, yy, xy = psf.shape
-    stars = np.flatnonzero(np.isfinite(table[:, :6]).all(axis=1) & (table[:, 2] > 0.0) & ~unfit)
+    fitted = np.isfinite(table[:, :6]).all(axis=1) & (table[:, 2] > 0.0)
+    square = found.covariance
+    whole = square + np.outer(found.mean, found.mean)
+    table[fitted & unfit, 3:6] += whole[[0, 1, 0], [0, 1, 1]]
+    stars = np.flatnonzero(fitted & ~unfit)
     if not len(stars):
         return np.zeros((2, 2))
-    square = found.covariance
     # Peak signal of a Gaussian star, DN, whose variances include that of the pixel.
     light = table[stars, 2] / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     contrast = (light * pixels.inverse_gain + (pixels.flat_error * light) ** 2) / found.dark

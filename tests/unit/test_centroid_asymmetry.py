@@ -158,6 +158,19 @@ def test_the_error_of_a_displacement_is_in_the_covariance():
     np.testing.assert_array_equal(after[:, 1], table[:, 1])
 
 
+def test_stars_of_which_a_part_was_fitted_are_as_uncertain_as_the_displacement():
+    """Saturated stars and those at the border: before, they were not moved and stated no error. One with a stated error
+    of 0.005 px and an actual one of 0.16 px turned a frame about itself."""
+    pixels, psf, table, unfit = prepared(*frame(SKEW))
+    found = Difference(np.array([0.1, -0.2]), np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), 0.9, NOISE**2)
+    unfit[:2] = True
+    after = table.copy()
+    correct_asymmetry(found, pixels, psf, after, unfit)
+    np.testing.assert_array_equal(after[:2, :3], table[:2, :3])
+    stated = [0.1**2 + 4e-4, 0.2**2 + 9e-4, -0.1 * 0.2 + 1e-4]
+    np.testing.assert_allclose(after[:2, 3:6] - table[:2, 3:6], [stated, stated])
+
+
 def test_all_stars_measure_the_difference_better_than_nine():
     """It depends on the position in the pixel; of 27 stars less remains of that than of nine. Variances of such means
     are as one to three; noise of 200 draws of both is a tenth of them."""
