@@ -46,8 +46,8 @@ _SURELY_HOT = 10.0
 """Likelihood ratio of a hot pixel to a star above which a detection is rejected."""
 _ASTRAY_PX = 1.5
 _UNDERSAMPLED_PX2 = 0.35
-"""Variance along the narrower axis, px², above which an error of the image's width does not move a star: exp(−2 π²
-0.35) is 0.001."""
+"""Variance along the narrower axis, px², above which an error of the image's width or shape does not move a star by its
+position within the pixel: exp(−2 π² 0.35) is 0.001."""
 
 
 def weighted_moment(
@@ -190,12 +190,23 @@ def _symmetric_positions(
         psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
         fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
         found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()), EXAMINED)
+        fits = fits._replace(misfit=_unexplained(fits.misfit, psf))
     moved = _add_width_error(frame, psf, starts, fits, reweigh, True)
     near = (np.abs(moved) < _ASTRAY_PX).all(axis=1)
     if near.any():  # the error of the width moves an asymmetric image as a whole
         shared = np.median(moved[near], axis=0)
         common = common + np.outer(shared, shared)
     return psf, fits, common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
+
+
+def _unexplained(misfit: float | None, psf: PsfModel) -> float | None:
+    """Misfit of the brightest stars without that of an asymmetric image, whose displacements are corrected.
+
+    Where pixels resolve the image, its shape displaces stars according to their brightness only: the misfit then shows
+    no further errors, and the covariances contain the uncertainty of the correction.
+    """
+    xx, yy, _ = psf.shape
+    return misfit if misfit is None or min(xx, yy) < _UNDERSAMPLED_PX2 else min(misfit, 0.0)
 
 
 def _add_width_error(

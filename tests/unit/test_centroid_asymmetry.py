@@ -14,6 +14,7 @@ from startracker.centroid.asymmetry import (
     reference_psf,
     unknown_reference,
 )
+from startracker.centroid.psf_fit import _unexplained
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.centroid.psf_shape import fit_gaussian
@@ -28,16 +29,16 @@ SIGMA, NOISE, GAIN = 0.45, 5.0, 1.0
 SIDE, STEP = 7, 32
 
 
-def frame(parts, seed=None):
+def frame(parts, seed=None, sigma=SIGMA):
     """Image, positions (49, 2) at all phases and fluxes, brightest first; with noise if a seed is given."""
     rng = np.random.default_rng(2)
     xy = np.stack(np.divmod(np.arange(SIDE**2), SIDE), axis=1) * STEP + STEP // 2 + rng.uniform(-0.5, 0.5, (SIDE**2, 2))
     flux, size = np.logspace(4.0, 2.4, SIDE**2), SIDE * STEP
     edges, image = np.arange(size + 1) - 0.5, np.zeros((size, size))
     for (x, y), f in zip(xy, flux, strict=True):
-        down = 0.5 * np.diff(erf((edges - y) / SIGMA / np.sqrt(2.0)))
+        down = 0.5 * np.diff(erf((edges - y) / sigma / np.sqrt(2.0)))
         for share, off in parts:
-            image += f * share * down[:, None] * 0.5 * np.diff(erf((edges - x - off) / SIGMA / np.sqrt(2.0)))
+            image += f * share * down[:, None] * 0.5 * np.diff(erf((edges - x - off) / sigma / np.sqrt(2.0)))
     if seed is not None:
         image += np.random.default_rng(seed).normal(size=image.shape) * np.sqrt(NOISE**2 + image / GAIN)
     return image.astype(np.float32), xy, flux
@@ -219,3 +220,19 @@ def test_the_reference_is_the_whole_image_and_not_its_core():
     # a fit that fails says how far the stars may be displaced: 0.6 widths
     found = Difference(np.zeros(2), np.zeros((2, 2)), 0.5, 1.0)
     np.testing.assert_allclose(unknown_reference(other, found), 0.5 * 0.36 * 0.5 * sum(other.shape[:2]) * np.eye(2))
+
+
+def test_a_resolved_image_that_was_corrected_has_no_misfit_left():
+    """Its shape displaces stars by their brightness only; the misfit made errors of the positions probable that were
+    not there. In images of half a pixel they are, and a misfit that is unknown stays so."""
+    wide, narrow = gaussian_psf(2.4, 0.95, radius_px=6.0), gaussian_psf(2.4, 0.3, radius_px=6.0)
+    assert [_unexplained(misfit, wide) for misfit in (None, -1.5, 40.0)] == [None, -1.5, 0.0]
+    assert [_unexplained(misfit, narrow) for misfit in (None, -1.5, 40.0)] == [None, -1.5, 40.0]
+
+
+@pytest.mark.parametrize(("sigma", "explained"), [(1.0, True), (SIGMA, False)])
+def test_the_misfit_of_asymmetric_images(sigma, explained):
+    parts = [(share, off * sigma / SIGMA) for share, off in SKEW]
+    found, _ = measured(*frame(parts, 3, sigma))
+    assert found.common_px2 is not None
+    assert (found.misfit <= 0.0) == explained
