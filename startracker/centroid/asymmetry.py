@@ -14,6 +14,10 @@ is averaged over two models (Hoeting et al. 1999, *Statistical Science* 14, 382)
 difference is Gaussian with a standard deviation τ on a grid. A star of another contrast c, the ratio of photon to
 background noise (variances) in its brightest pixel, is displaced by g(c) times the difference, with g = 1 for faint
 stars and 0 at the reference.
+
+If an asymmetric image is not improbable, all stars are fitted again with the ellipse that the weights of the reference
+give, which is the one of calibrations, and the difference is measured with that ellipse in all bright stars: in images
+of half a pixel it depends on the position within the pixel, by as much as itself.
 """
 
 from __future__ import annotations
@@ -25,12 +29,12 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from startracker._compiled import kernel
-from startracker.centroid.frame import brightest_alone
+from startracker.centroid.frame import MODEL_STARS, brightest_alone
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_model import PsfModel, Samples, gaussian_psf
 from startracker.centroid.psf_shape import LARGEST_HALF_PX, fit_gaussian
 from startracker.centroid.psf_sums import fill_window
-from startracker.centroid.skewness import REFERENCE_CONTRAST
+from startracker.centroid.skewness import REFERENCE_CONTRAST, Shape
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
@@ -38,26 +42,29 @@ from startracker.geometry.linalg import factorise, substitute
 _Star: TypeAlias = tuple[float, float, float]
 """Position x, y, px, and flux, DN, of a star."""
 
-_EXAMINED = 27
-_SYMMETRIC = 0.4
+EXAMINED = 27
+"""Number of the brightest stars that are examined; of these the isolated ones are used."""
+_SYMMETRIC = 0.25
 """Prior probability that star images are symmetric."""
-EXAMINED_ASYMMETRIC, LEAST_ASYMMETRIC = 0.15, 0.5
-"""Thresholds of the probability of an asymmetric image. Above the first, the ellipse of the reference's weights is
-fitted, which measures the difference better; above the second, with that ellipse, it is used for all stars and
+EXAMINED_ASYMMETRIC = 0.25
+"""Probability of an asymmetric image above which all stars are fitted with the ellipse of the reference's weights, and
 positions are corrected."""
 _DIFFERENCES = (0.05, 0.1, 0.2, 0.4)
 """Grid of τ in widths of the star image, including the pixel: 0.05 to 0.2 waves of coma cause 0.08 to 0.4 widths."""
-_MODEL_ERROR = 0.45
-"""Relative standard deviation of the actual displacement of faint stars about the measured one: for coma of 0.05 to 0.2
-waves at f/4 to f/1.4, in focus and 40 µm out of focus, their ratio is 0.8 to 1.6."""
-_OTHER_ELLIPSE = 2.0
-"""Ratio of two displacements of faint stars: fitted with the ellipse of their own weights, and with the ellipse of the
-reference, which has another zero point: two to three for coma of 0.05 and 0.1 waves at f/4."""
+_ACTUAL, _MODEL_ERROR = 1.1, 0.3
+"""Mean and standard deviation of the ratio of the actual displacement of faint stars to the measured one. For 24 random
+lenses (coma of 0.05 to 0.3 waves, half of them with astigmatism, trefoil or up to 60 µm of defocus, f/1.4 to f/4) the
+ratio is 0.7 to 1.25; coma of 0.2 waves at f/2 and of 0.3 at f/4 has 1.3 to 1.5."""
+_UNKNOWN_REFERENCE = 0.6
+"""Displacement of the stars, in widths of the fitted image, if the ellipse of the reference cannot be fitted: 0.5 to
+1.4 for coma of 0.2 and 0.3 waves at f/4, where faint stars only show the core of their image."""
 _LARGEST_AWAY = 6.9
 """ln 1000: exceeded by one star in a thousand."""
 _STEPS = 2
 _LONGEST_STEP_PX, _FARTHEST_PX = 0.5, 2.0
-_MOST_WINDOWS = 4
+_MOST_WINDOWS = 6
+_WIDE = 4.0
+"""Ratio of the variances with which the fit of the reference's ellipse starts to those of the frame's ellipse."""
 _LEAST_SIGMA_PX = 0.01
 """Standard error below which a brighter star gets no larger weight in the mean displacement, as in the attitude."""
 _PIXEL = 1.0 / 12.0
@@ -85,7 +92,9 @@ class Difference(NamedTuple):
     dark: float
 
 
-def measure_difference(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray, half: int) -> Difference:
+def measure_difference(
+    pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolArray, half: int, most: int = MODEL_STARS
+) -> Difference:
     """Difference in position between faint stars and those of the reference, from the brightest stars of a frame.
 
     Parameters
@@ -98,8 +107,10 @@ def measure_difference(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: 
         Stars that are saturated or at the border.
     half : int
         Half width of the fits' windows.
+    most : int
+        Largest number of stars; nine to recognise an asymmetric image, all that are examined to measure it.
     """
-    stars = _examined(table, unfit)
+    stars = _examined(table, unfit, most)
     found = np.full((len(stars), 4), np.nan)
     _measure(pixels, psf.samples, table, stars, half, found)
     found = found[np.isfinite(found).all(axis=1) & (np.abs(found[:, :2]).max(axis=1, initial=0.0) < _FARTHEST_PX)]
@@ -111,10 +122,9 @@ def measure_difference(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: 
     return _averaged(mean, variance, math.sqrt(0.5 * (xx + yy) + _PIXEL), float(found[:, 3].mean()))
 
 
-def _examined(table: FloatArray, unfit: BoolArray) -> IntArray:
+def _examined(table: FloatArray, unfit: BoolArray, most: int) -> IntArray:
     x, y, flux = np.ascontiguousarray(table[:, :3].T)
-    # At most nine isolated stars among the 27 brightest.
-    stars: IntArray = brightest_alone(x, y, flux, unfit, _EXAMINED)
+    stars: IntArray = brightest_alone(x, y, flux, unfit, EXAMINED, most)
     # Two windows of a tracked frame may contain the same star.
     apart = np.abs(table[stars, None, :2] - table[None, stars, :2]).max(axis=2)
     repeated: BoolArray = np.triu(apart < 1.0, 1).any(axis=0)
@@ -167,8 +177,8 @@ def _averaged(mean: FloatArray, variance: float, width: float, dark: float) -> D
     average = float(weight @ kept)
     within = float(weight @ kept) * variance
     between = float(weight @ (kept - average) ** 2) + (_MODEL_ERROR * average) ** 2
-    covariance = within * np.eye(2) + between * np.outer(mean, mean)
-    return Difference(average * mean, covariance, float(1.0 - weight[0]), dark)
+    covariance = _ACTUAL**2 * within * np.eye(2) + between * np.outer(mean, mean)
+    return Difference(_ACTUAL * average * mean, covariance, float(1.0 - weight[0]), dark)
 
 
 def correct_asymmetry(
@@ -176,8 +186,9 @@ def correct_asymmetry(
 ) -> FloatArray:
     """Subtract the displacement relative to reference stars from the positions of fits (N, 6), in place.
 
-    The part of its error that differs between stars is added to their covariances. If the image is probably, but not
-    certainly, symmetric, the positions are not changed and the displacement is included in the covariances.
+    The part of its error that differs between stars is added to their covariances. Stars in `unfit` are saturated or at
+    the border: the pixels that are left of their images displace them by an unknown amount. They keep their positions,
+    and the whole displacement of faint stars is added to their covariances.
 
     Returns
     -------
@@ -185,13 +196,13 @@ def correct_asymmetry(
         Covariance of the error that all positions then share, px².
     """
     xx, yy, xy = psf.shape
-    stars = np.flatnonzero(np.isfinite(table[:, :6]).all(axis=1) & (table[:, 2] > 0.0) & ~unfit)
-    if not (found.asymmetric > EXAMINED_ASYMMETRIC and len(stars)):
-        return np.zeros((2, 2))
-    corrected = found.asymmetric > LEAST_ASYMMETRIC
+    fitted = np.isfinite(table[:, :6]).all(axis=1) & (table[:, 2] > 0.0)
     square = found.covariance
-    if not corrected:
-        square = _OTHER_ELLIPSE**2 * (found.covariance + np.outer(found.mean, found.mean))
+    whole = square + np.outer(found.mean, found.mean)
+    table[fitted & unfit, 3:6] += whole[[0, 1, 0], [0, 1, 1]]
+    stars = np.flatnonzero(fitted & ~unfit)
+    if not len(stars):
+        return np.zeros((2, 2))
     # Peak signal of a Gaussian star, DN, whose variances include that of the pixel.
     light = table[stars, 2] / (2.0 * math.pi * math.sqrt((xx + _PIXEL) * (yy + _PIXEL) - xy * xy))
     contrast = (light * pixels.inverse_gain + (pixels.flat_error * light) ** 2) / found.dark
@@ -199,8 +210,7 @@ def correct_asymmetry(
     weight = 1.0 / np.maximum(table[stars, 3] + table[stars, 4], 2.0 * _LEAST_SIGMA_PX**2)
     # Stars are weighted as in the attitude: what they share on average is the common error, the rest is their own.
     middle = float(weight @ part / weight.sum())
-    if corrected:
-        table[stars, :2] -= part[:, None] * found.mean
+    table[stars, :2] -= part[:, None] * found.mean
     apart = np.square(part - middle)
     for column, (i, j) in enumerate(((0, 0), (1, 1), (0, 1)), start=3):
         table[stars, column] += apart * square[i, j]
@@ -241,21 +251,46 @@ def reference_psf(pixels: Pixels, psf: PsfModel, table: FloatArray, unfit: BoolA
     The ellipse of an asymmetric image depends on the weights as well: positions from the ellipse of other weights have
     another zero point.
     """
-    stars = _examined(table, unfit)
+    stars = _examined(table, unfit, EXAMINED)
     x, y = np.ascontiguousarray(table[:, :2].T)
     starts = Starts(x, y, np.full(len(table), half), np.full(len(table), np.inf))
-    shape, least, half = psf.shape, half, min(2 * half, LARGEST_HALF_PX)
+    (xx, yy, xy), fitted = psf.shape, None
+    # A narrow start would end at the core of an image with a wide tail, where faint stars have most of their signal.
+    for times in (_WIDE, 1.0):
+        if fitted is None:
+            fitted = _reference_ellipse(pixels, starts, stars, half, (times * xx, times * yy, times * xy))
+    if fitted is None:
+        return None
+    (xx, yy, xy), errors = fitted
+    major = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+    radius = max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0)
+    return gaussian_psf(xx, yy, xy, radius_px=radius, width_error=errors)
+
+
+def unknown_reference(psf: PsfModel, found: Difference) -> FloatArray:
+    """Covariance (2, 2), px², of the displacement of all stars if `reference_psf` fails."""
+    xx, yy, _ = psf.shape
+    return found.asymmetric * _UNKNOWN_REFERENCE**2 * 0.5 * (xx + yy) * np.eye(2)
+
+
+def _reference_ellipse(
+    pixels: Pixels, starts: Starts, stars: IntArray, least: int, shape: Shape
+) -> tuple[Shape, tuple[float, float]] | None:
+    """Ellipse fitted with the weights of the reference, and the standard errors of its variances; None if the fit
+    fails. `least` is the smallest half width of the window, and `shape` that with which the fit starts."""
+    found: tuple[Shape, tuple[float, float]] | None = None
+    half = min(2 * least, LARGEST_HALF_PX)
     # The window depends on the width that is fitted in it, so both are iterated.
     for _ in range(_MOST_WINDOWS):
         (xx, yy, xy), errors = fit_gaussian(pixels, starts, stars, half, shape, REFERENCE_CONTRAST)
         if not (xx > 0.0 and xx * yy - xy * xy > 0.0):
-            return None
+            break
+        shape, found = (xx, yy, xy), ((xx, yy, xy), errors)
         major = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
-        shape, before, half = (xx, yy, xy), half, min(max(least, math.ceil(2.5 * math.sqrt(major))), LARGEST_HALF_PX)
+        before, half = half, min(max(least, math.ceil(2.5 * math.sqrt(major))), LARGEST_HALF_PX)
         if half == before:
             break
-    radius = max(psf.radius_px, 2.5 * math.sqrt(major) + 2.0)
-    return gaussian_psf(xx, yy, xy, radius_px=radius, width_error=errors)
+    return found
 
 
 @kernel

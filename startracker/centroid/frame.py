@@ -84,12 +84,14 @@ def _widths(frame: Prepared, spots: Spots) -> tuple[float, float]:
 
 
 @kernel
-def brightest_alone(x: FloatArray, y: FloatArray, flux: FloatArray, unfit: BoolArray, looked_at: int) -> IntArray:
-    """Indices of the brightest isolated stars, at most `MODEL_STARS`.
+def brightest_alone(
+    x: FloatArray, y: FloatArray, flux: FloatArray, unfit: BoolArray, looked_at: int, most: int
+) -> IntArray:
+    """Indices of the brightest isolated stars, at most `most`.
 
     The `looked_at` brightest stars that are not `unfit` are examined; isolated means that no other is within 16 px.
     """
-    out, count = np.empty(MODEL_STARS, np.int64), 0
+    out, count = np.empty(most, np.int64), 0
     done = unfit.copy()
     for _ in range(looked_at):
         best = -1
@@ -97,7 +99,7 @@ def brightest_alone(x: FloatArray, y: FloatArray, flux: FloatArray, unfit: BoolA
             usable = not done[n] and math.isfinite(x[n] + y[n] + flux[n])
             if usable and (best < 0 or flux[n] > flux[best]):
                 best = n
-        if best < 0 or count == MODEL_STARS:
+        if best < 0 or count == most:
             break
         done[best], alone = True, True
         for m in range(len(x)):

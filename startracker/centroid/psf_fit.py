@@ -10,11 +10,12 @@ import numpy as np
 
 from startracker._compiled import kernel
 from startracker.centroid.asymmetry import (
+    EXAMINED,
     EXAMINED_ASYMMETRIC,
-    LEAST_ASYMMETRIC,
     correct_asymmetry,
     measure_difference,
     reference_psf,
+    unknown_reference,
 )
 from startracker.centroid.frame import Prepared, collect, measure_moments, prepare
 from startracker.centroid.psf_kernel import Starts, fit_stars, group_stars, weighted_moments
@@ -45,8 +46,8 @@ _SURELY_HOT = 10.0
 """Likelihood ratio of a hot pixel to a star above which a detection is rejected."""
 _ASTRAY_PX = 1.5
 _UNDERSAMPLED_PX2 = 0.35
-"""Variance along the narrower axis, px², above which an error of the image's width does not move a star: exp(−2 π²
-0.35) is 0.001."""
+"""Variance along the narrower axis, px², above which an error of the image's width or shape does not move a star by its
+position within the pixel: exp(−2 π² 0.35) is 0.001."""
 
 
 def weighted_moment(
@@ -161,37 +162,70 @@ def _fit(
     fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
     common = None
     if frame.settings.psf is None:
-        unfit, half, pixels = spots.saturated | spots.edge, int(starts.half.min()), frame.pixels
-        common = skewness_covariance(pixels, fits.table, unfit, half, psf.shape)
-        if gain_e_per_dn is not None:  # a gain guessed from the background leaves the contrast of stars unknown
-            found = measure_difference(pixels, psf, fits.table, unfit, half)
-            if found.asymmetric > EXAMINED_ASYMMETRIC:
-                other = reference_psf(pixels, psf, fits.table, unfit, half)
-                if other is not None:
-                    again = starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
-                    refits = _fit_image(frame, spots, moments, other, again, reweigh)
-                    wider = measure_difference(pixels, other, refits.table, unfit, int(again.half.min()))
-                    if wider.asymmetric > LEAST_ASYMMETRIC:
-                        psf, starts, fits, found = other, again, refits, wider
-        _add_width_error(frame, psf, starts, fits, reweigh)
-        if gain_e_per_dn is not None:
-            common = common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
+        unfit = spots.saturated | spots.edge
+        common = skewness_covariance(frame.pixels, fits.table, unfit, int(starts.half.min()), psf.shape)
+        if gain_e_per_dn is None:  # a gain guessed from the background leaves the contrast of stars unknown
+            _add_width_error(frame, psf, starts, fits, reweigh, False)
+        else:
+            psf, fits, error = _symmetric_positions(frame, spots, moments, psf, starts, fits, reweigh)
+            common = common + error
     stars = collect(fits.table, _widths(psf), spots, frame.half, fits.group, SYSTEMATIC_PX)
     return replace(stars, common_px2=common if common is not None and common.any() else None, misfit=fits.misfit)
 
 
-def _add_width_error(frame: Prepared, psf: PsfModel, starts: Starts, fits: _Fits, reweigh: bool) -> None:
-    """Add to the covariances, in place, the shift of the stars if the image is wider by its standard error.
+def _symmetric_positions(
+    frame: Prepared, spots: Spots, moments: FloatArray, psf: PsfModel, starts: Starts, fits: _Fits, reweigh: bool
+) -> tuple[PsfModel, _Fits, FloatArray]:
+    """Star image and fits without the displacement by an asymmetric image (`startracker.centroid.asymmetry`), and the
+    covariance (2, 2), px², of the error that all positions share."""
+    pixels, unfit, half = frame.pixels, spots.saturated | spots.edge, int(starts.half.min())
+    found = measure_difference(pixels, psf, fits.table, unfit, half)
+    if not found.asymmetric > EXAMINED_ASYMMETRIC:
+        _add_width_error(frame, psf, starts, fits, reweigh, False)
+        return psf, fits, np.zeros((2, 2))
+    other, common = reference_psf(pixels, psf, fits.table, unfit, half), np.zeros((2, 2))
+    if other is None:
+        common = unknown_reference(psf, found)
+    else:
+        psf, starts = other, starts._replace(half=np.maximum(starts.half, _half_of(frame, other)))
+        fits = _fit_image(frame, spots, moments, psf, starts, reweigh)
+        found = measure_difference(pixels, psf, fits.table, unfit, int(starts.half.min()), EXAMINED)
+        fits = fits._replace(misfit=_unexplained(fits.misfit, psf))
+    moved = _add_width_error(frame, psf, starts, fits, reweigh, True)
+    near = (np.abs(moved) < _ASTRAY_PX).all(axis=1)
+    if near.any():  # the error of the width moves an asymmetric image as a whole
+        shared = np.median(moved[near], axis=0)
+        common = common + np.outer(shared, shared)
+    return psf, fits, common + correct_asymmetry(found, pixels, psf, fits.table, unfit)
 
-    Only undersampled images have this error: it depends on the position within the pixel, and its mean over these is
-    zero.
+
+def _unexplained(misfit: float | None, psf: PsfModel) -> float | None:
+    """Misfit of the brightest stars without that of an asymmetric image, whose displacements are corrected.
+
+    Where pixels resolve the image, its shape displaces stars according to their brightness only: the misfit then shows
+    no further errors, and the covariances contain the uncertainty of the correction.
+    """
+    xx, yy, _ = psf.shape
+    return misfit if misfit is None or min(xx, yy) < _UNDERSAMPLED_PX2 else min(misfit, 0.0)
+
+
+def _add_width_error(
+    frame: Prepared, psf: PsfModel, starts: Starts, fits: _Fits, reweigh: bool, asymmetric: bool
+) -> FloatArray:
+    """Shift (N, 2) of the stars, px, if the image is wider by its standard error; added to the covariances, in place.
+
+    Of symmetric images only undersampled ones have this error: it depends on the position within the pixel, and its
+    mean over these is zero.
     """
     xx, yy, xy = psf.shape
-    if not 0.0 < min(xx, yy) < _UNDERSAMPLED_PX2 or not any(psf.width_error):
-        return
+    undersampled = 0.0 < min(xx, yy) < _UNDERSAMPLED_PX2
+    if not ((undersampled or asymmetric) and any(psf.width_error)):
+        return np.zeros((len(fits.table), 2))
     wider = gaussian_psf(xx + psf.width_error[0], yy + psf.width_error[1], xy, radius_px=psf.radius_px)
-    moved = fit_stars(frame.pixels, wider.samples, starts, fits.group, reweigh)[:, :2] - fits.table[:, :2]
-    fits.table[:, 3:5] += np.where(np.abs(moved) < _ASTRAY_PX, np.square(moved), 0.0)
+    moved: FloatArray = fit_stars(frame.pixels, wider.samples, starts, fits.group, reweigh)[:, :2] - fits.table[:, :2]
+    if undersampled:
+        fits.table[:, 3:5] += np.where(np.abs(moved) < _ASTRAY_PX, np.square(moved), 0.0)
+    return moved
 
 
 class _Fits(NamedTuple):

@@ -315,7 +315,7 @@ def frame_psf(frame: Prepared, spots: Spots, starts: Starts, sigmas: tuple[float
     """
     half = min(max(frame.half, math.ceil(2.5 * max(sigmas))), LARGEST_HALF_PX)
     unfit = spots.saturated | spots.edge
-    chosen = brightest_alone(starts.x, starts.y, spots.flux, unfit, _LOOKED_AT)
+    chosen = brightest_alone(starts.x, starts.y, spots.flux, unfit, _LOOKED_AT, MODEL_STARS)
     if len(chosen) < _FEWEST_ALONE:
         chosen = np.flatnonzero(~unfit & np.isfinite(starts.x + starts.y))[:MODEL_STARS]
     xx, yy, xy = start = max(sigmas[0], SMALLEST_SIGMA_PX) ** 2, max(sigmas[1], SMALLEST_SIGMA_PX) ** 2, 0.0

@@ -35,8 +35,8 @@ class Centroids:
     common_px2 : array, shape (2, 2), optional
         Covariance, px², of an error that all positions share; it is not part of `covariance`. None if there is none.
     misfit : float, optional
-        Deviation of the brightest stars from the image that was fitted to them (`misfit_of_brightest`); None if
-        unknown.
+        Deviation of the brightest stars from the image that was fitted to them (`misfit_of_brightest`), at most 0 if
+        it is asymmetric and positions were corrected for this (`startracker.centroid.asymmetry`); None if unknown.
     """
 
     xy: FloatArray

@@ -27,7 +27,7 @@ from typing import TypeAlias
 import numpy as np
 
 from startracker._compiled import kernel, kernel_part
-from startracker.centroid.frame import brightest_alone
+from startracker.centroid.frame import MODEL_STARS, brightest_alone
 from startracker.centroid.window import Pixels, read_pixels
 from startracker.core import BoolArray, FloatArray, IntArray
 from startracker.geometry.linalg import factorise, substitute
@@ -222,7 +222,7 @@ def skewness_covariance(pixels: Pixels, table: FloatArray, unfit: BoolArray, hal
     if not middle - spread > _NARROWEST or middle + spread > _LONGEST * (middle - spread):
         return common
     x, y, flux = np.ascontiguousarray(table[:, :3].T)  # strided columns would need another compilation
-    stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT)
+    stars = brightest_alone(x, y, flux, unfit, _LOOKED_AT, MODEL_STARS)
     _fill_covariance(pixels, table, stars, half, shape, common)
     return common
 

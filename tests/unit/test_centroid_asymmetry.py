@@ -5,7 +5,16 @@ import pytest
 from scipy.special import erf
 
 from startracker.centroid import maximum_likelihood
-from startracker.centroid.asymmetry import correct_asymmetry, displaced_part, measure_difference
+from startracker.centroid.asymmetry import (
+    EXAMINED_ASYMMETRIC,
+    Difference,
+    correct_asymmetry,
+    displaced_part,
+    measure_difference,
+    reference_psf,
+    unknown_reference,
+)
+from startracker.centroid.psf_fit import _unexplained
 from startracker.centroid.psf_kernel import Starts
 from startracker.centroid.psf_model import gaussian_psf
 from startracker.centroid.psf_shape import fit_gaussian
@@ -20,16 +29,16 @@ SIGMA, NOISE, GAIN = 0.45, 5.0, 1.0
 SIDE, STEP = 7, 32
 
 
-def frame(parts, seed=None):
+def frame(parts, seed=None, sigma=SIGMA):
     """Image, positions (49, 2) at all phases and fluxes, brightest first; with noise if a seed is given."""
     rng = np.random.default_rng(2)
     xy = np.stack(np.divmod(np.arange(SIDE**2), SIDE), axis=1) * STEP + STEP // 2 + rng.uniform(-0.5, 0.5, (SIDE**2, 2))
     flux, size = np.logspace(4.0, 2.4, SIDE**2), SIDE * STEP
     edges, image = np.arange(size + 1) - 0.5, np.zeros((size, size))
     for (x, y), f in zip(xy, flux, strict=True):
-        down = 0.5 * np.diff(erf((edges - y) / SIGMA / np.sqrt(2.0)))
+        down = 0.5 * np.diff(erf((edges - y) / sigma / np.sqrt(2.0)))
         for share, off in parts:
-            image += f * share * down[:, None] * 0.5 * np.diff(erf((edges - x - off) / SIGMA / np.sqrt(2.0)))
+            image += f * share * down[:, None] * 0.5 * np.diff(erf((edges - x - off) / sigma / np.sqrt(2.0)))
     if seed is not None:
         image += np.random.default_rng(seed).normal(size=image.shape) * np.sqrt(NOISE**2 + image / GAIN)
     return image.astype(np.float32), xy, flux
@@ -67,11 +76,11 @@ def test_the_part_of_a_contrast():
 def test_a_symmetric_image_has_no_difference():
     found = difference(*frame(SYMMETRIC))
     assert np.abs(found.mean).max() < 1e-4
-    assert found.asymmetric < 0.05
+    assert found.asymmetric < 0.1
 
 
 def test_a_symmetric_image_in_noise_is_left_alone():
-    asymmetric = [difference(*frame(SYMMETRIC, seed)).asymmetric > 0.15 for seed in range(60)]
+    asymmetric = [difference(*frame(SYMMETRIC, seed)).asymmetric > EXAMINED_ASYMMETRIC for seed in range(60)]
     # fewer than one in ten; three binomial standard deviations of 6 in 60 are 7
     assert sum(asymmetric) <= 13
 
@@ -127,19 +136,103 @@ def test_an_orientation_that_pixels_do_not_resolve_is_left_out():
     assert xy_ == 0.0 or abs(xy_) < 0.01 * np.sqrt(xx * yy)
 
 
-def test_a_displacement_that_is_not_sure_is_in_the_covariance():
-    """At even odds or less positions stay, and the displacement is part of their covariance; not at 0.15 or less."""
-    image, xy, flux = frame(SKEW)
+def prepared(image, xy, flux, sigma=SIGMA):
+    """Pixels, a round Gaussian, and the table of fits of stars."""
     background = Background(np.zeros_like(image), np.full_like(image, NOISE))
     pixels = Pixels(image, background.level_plane, background.noise_plane, 1.0 / GAIN, 0.0)
-    psf = gaussian_psf(SIGMA**2, SIGMA**2, radius_px=6.0)
-    table, unfit = np.column_stack([xy, flux, np.full((len(xy), 3), 1e-3)]), np.zeros(len(xy), bool)
+    table = np.column_stack([xy, flux, np.full((len(xy), 3), 1e-3)])
+    return pixels, gaussian_psf(sigma**2, sigma**2, radius_px=6.0), table, np.zeros(len(xy), bool)
+
+
+def test_the_error_of_a_displacement_is_in_the_covariance():
+    """What all stars share of it is returned, and what differs between bright and faint ones is in their own."""
+    pixels, psf, table, unfit = prepared(*frame(SKEW))
     found = measure_difference(pixels, psf, table, unfit, 2)._replace(mean=np.array([0.1, 0.0]))
-    for asymmetric, moved, stated in ((0.9, True, True), (0.4, False, True), (0.1, False, False)):
-        after = table.copy()
-        common = correct_asymmetry(found._replace(asymmetric=asymmetric), pixels, psf, after, unfit)
-        assert (after[:, 0] != table[:, 0]).any() == moved
-        assert (common[0, 0] > 0.0) == stated
-        faint = after[-1, 3] + common[0, 0] - table[-1, 3]
-        if stated and not moved:
-            assert faint > found.covariance[0, 0]
+    after = table.copy()
+    common = correct_asymmetry(found, pixels, psf, after, unfit)
+    part = (table[:, 0] - after[:, 0]) / 0.1
+    # the faintest star has a contrast of 250/(2π (0.45² + 1/12))/5² = 5.6
+    assert part[-1] == pytest.approx(0.51, abs=0.02)
+    own = after[:, 3] - table[:, 3]
+    middle = np.sqrt(common[0, 0] / found.covariance[0, 0])
+    np.testing.assert_allclose(own, (part - middle) ** 2 * found.covariance[0, 0], atol=1e-12)
+    np.testing.assert_array_equal(after[:, 1], table[:, 1])
+
+
+def test_stars_of_which_a_part_was_fitted_are_as_uncertain_as_the_displacement():
+    """Saturated stars and those at the border: before, they were not moved and stated no error. One with a stated error
+    of 0.005 px and an actual one of 0.16 px turned a frame about itself."""
+    pixels, psf, table, unfit = prepared(*frame(SKEW))
+    found = Difference(np.array([0.1, -0.2]), np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), 0.9, NOISE**2)
+    unfit[:2] = True
+    after = table.copy()
+    correct_asymmetry(found, pixels, psf, after, unfit)
+    np.testing.assert_array_equal(after[:2, :3], table[:2, :3])
+    stated = [0.1**2 + 4e-4, 0.2**2 + 9e-4, -0.1 * 0.2 + 1e-4]
+    np.testing.assert_allclose(after[:2, 3:6] - table[:2, 3:6], [stated, stated])
+
+
+def test_all_stars_measure_the_difference_better_than_nine():
+    """It depends on the position in the pixel; of 27 stars less remains of that than of nine. Variances of such means
+    are as one to three; noise of 200 draws of both is a tenth of them."""
+    xy = frame(SKEW)[1]
+    pixels, psf, table, _ = prepared(*frame_of_equal(xy))
+    rng, means = np.random.default_rng(9), {9: [], 27: []}
+    for _ in range(100):
+        unfit = np.ones(len(xy), bool)
+        unfit[rng.choice(len(xy), 40, replace=False)] = False
+        order = rng.permutation(len(xy))
+        table[:, 2] = 5000.0 * (1.0 + 1e-6 * order)  # which ones are the brightest is chance
+        for most, found in means.items():
+            found.append(measure_difference(pixels, psf, table, unfit, 2, most).mean[0])
+    assert np.std(means[27]) < 0.7 * np.std(means[9])
+    assert np.mean(means[27]) == pytest.approx(np.mean(means[9]), abs=4.0 * np.std(means[9]) / 10.0)
+
+
+def frame_of_equal(xy):
+    """A noise-free frame of skewed stars of equal flux at these positions."""
+    size = SIDE * STEP
+    edges, image = np.arange(size + 1) - 0.5, np.zeros((size, size))
+    for x, y in xy:
+        down = 0.5 * np.diff(erf((edges - y) / SIGMA / np.sqrt(2.0)))
+        for share, off in SKEW:
+            image += 5000.0 * share * down[:, None] * 0.5 * np.diff(erf((edges - x - off) / SIGMA / np.sqrt(2.0)))
+    return image.astype(np.float32), xy, np.full(len(xy), 5000.0)
+
+
+CORE_AND_TAIL = ((0.42, -0.6, 0.6), (0.58, 1.1, 1.7))
+"""Share, offset along x and σ, px, of a sharp core and a wide tail, as of coma out of focus."""
+
+
+def test_the_reference_is_the_whole_image_and_not_its_core():
+    """The fit with equal weights of a narrow start ends at the core; positions of that ellipse are 0.5 px away."""
+    size = SIDE * STEP
+    xy, edges, image = frame(SYMMETRIC)[1], np.arange(size + 1) - 0.5, np.zeros((size, size))
+    for x, y in xy:
+        for share, off, sigma in CORE_AND_TAIL:
+            along, down = (0.5 * np.diff(erf((edges - at) / sigma / np.sqrt(2.0))) for at in (x + off, y))
+            image += 3000.0 * share * down[:, None] * along
+    image = image.astype(np.float32)
+    pixels, psf, table, unfit = prepared(image, xy - [0.6, 0.0], np.full(len(xy), 3000.0), 0.6)
+    other = reference_psf(pixels, psf, table, unfit, 2)
+    assert other is not None
+    assert other.shape[0] > 2.0 * other.shape[1] * 0.6 > 1.2
+    # a fit that fails says how far the stars may be displaced: 0.6 widths
+    found = Difference(np.zeros(2), np.zeros((2, 2)), 0.5, 1.0)
+    np.testing.assert_allclose(unknown_reference(other, found), 0.5 * 0.36 * 0.5 * sum(other.shape[:2]) * np.eye(2))
+
+
+def test_a_resolved_image_that_was_corrected_has_no_misfit_left():
+    """Its shape displaces stars by their brightness only; the misfit made errors of the positions probable that were
+    not there. In images of half a pixel they are, and a misfit that is unknown stays so."""
+    wide, narrow = gaussian_psf(2.4, 0.95, radius_px=6.0), gaussian_psf(2.4, 0.3, radius_px=6.0)
+    assert [_unexplained(misfit, wide) for misfit in (None, -1.5, 40.0)] == [None, -1.5, 0.0]
+    assert [_unexplained(misfit, narrow) for misfit in (None, -1.5, 40.0)] == [None, -1.5, 40.0]
+
+
+@pytest.mark.parametrize(("sigma", "explained"), [(1.0, True), (SIGMA, False)])
+def test_the_misfit_of_asymmetric_images(sigma, explained):
+    parts = [(share, off * sigma / SIGMA) for share, off in SKEW]
+    found, _ = measured(*frame(parts, 3, sigma))
+    assert found.common_px2 is not None
+    assert (found.misfit <= 0.0) == explained

@@ -290,7 +290,7 @@ def test_stars_alone():
     near = np.maximum(np.abs(x[:, None] - x), np.abs(y[:, None] - y)) < 16.0
     bright = [n for n in np.argsort(-flux) if not unfit[n] and np.isfinite(x[n])][:18]
     expected = [n for n in bright if near[n].sum() == 1]
-    assert brightest_alone(x, y, flux, unfit, 18).tolist() == expected[:MODEL_STARS]
+    assert brightest_alone(x, y, flux, unfit, 18, MODEL_STARS).tolist() == expected[:MODEL_STARS]
     assert 2 < len(expected) < len(bright)
 
 
