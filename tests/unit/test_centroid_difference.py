@@ -119,12 +119,9 @@ def test_differences_that_are_pooled(monkeypatch):
     assert (none.mean.tolist(), none.covariance.tolist(), none.asymmetric) == ([0.0, 0.0], [[0.0, 0.0]] * 2, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("asymmetric", "outcome"), [(0.1499, "none"), (0.1501, "stated"), (0.5, "stated"), (0.501, "moved")]
-)
-def test_a_displacement_in_positions_and_covariances(asymmetric, outcome):
+def test_a_displacement_in_positions_and_covariances():
     """Part g of the contrast in the brightest pixel; what the stars share by their weights is common, the rest their
-    own. Without correction, for twice the displacement and its error: the ellipse of faint stars has another zero."""
+    own. A star of which a part is saturated keeps its position, and states the whole displacement."""
     rng = np.random.default_rng(2)
     table = np.column_stack(
         [
@@ -136,30 +133,27 @@ def test_a_displacement_in_positions_and_covariances(asymmetric, outcome):
     )
     table[1, 4], table[2, 2], table[5, 3:5] = np.nan, -5.0, 2e-5
     unfit = np.arange(6) == 3
-    found = Difference(np.array([0.05, -0.03]), np.array([[4e-4, 1e-4], [1e-4, 9e-4]]), asymmetric, 16.0)
+    square = np.array([[4e-4, 1e-4], [1e-4, 9e-4]])
+    found = Difference(np.array([0.05, -0.03]), square, 0.6, 16.0)
     pixels, psf, after = (
         pixels_of(np.zeros((9, 9)), 4.0, 0.5, 0.01),
         gaussian_psf(0.9, 0.6, 0.2, radius_px=4.0),
         table.copy(),
     )
     common = correct_asymmetry(found, pixels, psf, after, unfit)
-    expected, shared, used = table.copy(), np.zeros((2, 2)), [0, 4, 5]
-    if outcome != "none":
-        peak = table[used, 2] / (2.0 * np.pi * np.sqrt(np.linalg.det([[0.9 + 1 / 12, 0.2], [0.2, 0.6 + 1 / 12]])))
-        part = displaced_part((0.5 * peak + (0.01 * peak) ** 2) / 16.0)
-        weight = 1.0 / np.maximum(table[used, 3] + table[used, 4], 2e-4)
-        middle = np.average(part, weights=weight)
-        square = found.covariance
-        if outcome == "moved":
-            expected[used, :2] -= part[:, None] * found.mean
-        else:
-            square = 4.0 * (square + np.outer(found.mean, found.mean))
-        own = (part - middle) ** 2
-        expected[used, 3:6] += own[:, None] * [square[0, 0], square[1, 1], square[0, 1]]
-        shared = middle**2 * square
-        assert own.min() > 1e-4
+    expected, used = table.copy(), [0, 4, 5]
+    peak = table[used, 2] / (2.0 * np.pi * np.sqrt(np.linalg.det([[0.9 + 1 / 12, 0.2], [0.2, 0.6 + 1 / 12]])))
+    part = displaced_part((0.5 * peak + (0.01 * peak) ** 2) / 16.0)
+    weight = 1.0 / np.maximum(table[used, 3] + table[used, 4], 2e-4)
+    middle = np.average(part, weights=weight)
+    own = (part - middle) ** 2
+    assert own.min() > 1e-4
+    expected[used, :2] -= part[:, None] * found.mean
+    expected[used, 3:6] += own[:, None] * [square[0, 0], square[1, 1], square[0, 1]]
+    whole = square + np.outer(found.mean, found.mean)
+    expected[3, 3:6] += whole[0, 0], whole[1, 1], whole[0, 1]
     np.testing.assert_allclose(after, expected, rtol=1e-12)
-    np.testing.assert_allclose(common, shared, rtol=1e-12)
+    np.testing.assert_allclose(common, middle**2 * square, rtol=1e-12)
     assert not correct_asymmetry(found, pixels, psf, after, np.ones(6, bool)).any()
 
 
@@ -169,7 +163,7 @@ def test_a_displacement_in_positions_and_covariances(asymmetric, outcome):
 )
 def test_windows_of_the_reference_ellipse(monkeypatch, variance, half, windows):
     """Twice the half width at first, then 2½ widths along the longer axis, from the first half width to 8 px, until the
-    window stays; with the weights of the reference, and the ellipse before as the start."""
+    window stays; with the weights of the reference, from four times the variances, then from the ellipse before."""
     calls, shape = [], (0.5 * variance + 0.1, 0.5 * variance + 0.1, 0.5 * variance - 0.1)
 
     def fitted(pixels, starts, stars, size, start, contrast):
@@ -181,7 +175,7 @@ def test_windows_of_the_reference_ellipse(monkeypatch, variance, half, windows):
     table = np.column_stack([np.indices((3, 3)).reshape(2, -1).T * 30.0, np.arange(9.0, 0.0, -1.0), np.zeros((9, 3))])
     found = reference_psf(None, gaussian_psf(0.9, 0.9, radius_px=4.0), table, np.zeros(9, bool), half)
     assert [call[0] for call in calls] == windows
-    assert [call[1:] for call in calls] == [((0.9, 0.9, 0.0), 50.0), (shape, 50.0)][: len(calls)]
+    assert [call[1:] for call in calls] == [((3.6, 3.6, 0.0), 50.0), (shape, 50.0)][: len(calls)]
     assert found.shape == pytest.approx(shape)
     assert found.width_error == (0.01, 0.02)
     least = max(gaussian_psf(0.9, 0.9, radius_px=4.0).radius_px, 2.5 * math.sqrt(variance) + 2.0)
