@@ -15,7 +15,7 @@ from simulator.optics import airy, diffraction
 from simulator.optics.lens import Lens
 from simulator.optics.measured import measured_centroid
 from simulator.optics.pixel_response import gaussian_shares
-from simulator.optics.psf_model import PsfModel
+from simulator.optics.psf_model import ABERRATIONS, PsfModel
 from simulator.optics.psf_table import STRIDES, TAPER_PX, coarsest, join, least_radius, offsets, polyphase
 from startracker.core import FloatArray
 from startracker.display import fields_repr
@@ -385,7 +385,7 @@ def stamp_half_px(least: int, wing: FloatArray, peak: float, aspect: float) -> i
 
 def _no_aberrations(psf_model: PsfModel) -> None:
     nothing = PsfModel()
-    for key in ("zernike_waves", "defocus_um", "field"):
+    for key in ABERRATIONS:
         if getattr(psf_model, key) != getattr(nothing, key):
             raise InputError(f"a PSF of model {psf_model.model} takes no {key}; set model: diffraction")
 

@@ -68,3 +68,7 @@ class PsfModel:
     """Diffraction: field-dependent aberrations."""
 
     __repr__ = changed_fields
+
+
+ABERRATIONS = ("zernike_waves", "defocus_um", "field")
+"""Keys of `PsfModel` that only diffraction images use."""

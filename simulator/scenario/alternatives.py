@@ -7,14 +7,16 @@ of one layer (a file, or the options of a command) can contradict each other; th
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from simulator.mission.parameters import ATTITUDE_FILES, FILES, SOURCES
+from simulator.optics.psf_model import ABERRATIONS
 from simulator.scenario.detector_rules import CCD_ONLY, SHUTTER_OF
 from simulator.scenario.document import Entry, Table, Value
+from simulator.scenario.orbit_rules import GIVEN_BY
 from simulator.scenario.overrides import merge
+from simulator.scenario.pointing_rules import LAW_KEYS
 
 Given = Mapping[str, Any]
 """Values of a layer or of one of its sections, as plain nested mappings."""
@@ -22,19 +24,10 @@ Given = Mapping[str, Any]
 CIRCULAR = ("altitude_km", "inclination_deg", "ltan_h", "raan_deg", "argument_of_latitude_deg")
 """Keys that define a circular orbit."""
 _ORBITS = ("orbit", "pointing.track.spacecraft")
-_LAWS: dict[str, Callable[[Any], bool]] = {
-    "target": lambda target: target is not None,
-    "spin": lambda spin: bool(_value(spin, "rate_deg_s")),
-    "attitude": lambda attitude: any(_value(attitude, key) is not None for key in ATTITUDE_FILES),
-    "waypoints": lambda waypoints: bool(_value(waypoints, "points")),
-    "track": lambda track: _value(track, "target") is not None,
-}
-"""Keys of the section ``pointing`` that define the attitude, and whether their value does."""
 _WIDTHS = ("sigma_px", "first_dark_ring_px")
-_ABERRATIONS = ("zernike_waves", "defocus_um", "field")
 _NOT_OF_MODEL = {
-    "gaussian": ("polychromatic", *_ABERRATIONS),
-    "airy": ("sigma_px", *_ABERRATIONS),
+    "gaussian": ("polychromatic", *ABERRATIONS),
+    "airy": ("sigma_px", *ABERRATIONS),
     "diffraction": _WIDTHS,
 }
 """Keys of ``optics.psf`` that a model does not use."""
@@ -58,7 +51,7 @@ def layered(below: Table, above: Table) -> Table:
 def replaced_keys(below: Given, above: Given) -> Iterator[str]:
     """Dotted paths of keys and sections of `below` that `above` replaces by others; both are nested values."""
     for rule in _RULES:
-        lower, upper = (functools.reduce(_value, rule.section.split("."), values) for values in (below, above))
+        lower, upper = (_at(values, rule.section) for values in (below, above))
         if isinstance(lower, Mapping) and isinstance(upper, Mapping):
             yield from (f"{rule.section}.{key}" for key in rule.replaced(lower, upper))
 
@@ -99,18 +92,17 @@ def _orbit(below: Given, above: Given) -> Collection[str]:
 
 def _source(orbit: Given) -> str:
     """What defines an orbit: ``circular``, or the key that does; empty if nothing does."""
-    marks = {"elements": "semi_major_axis_km", "state": "position_km"}
-    for key in SOURCES:
-        value = orbit.get(key)
-        if value is not None and (key not in marks or _value(value, marks[key]) is not None):
-            return key
-    return "circular" if any(orbit.get(key) is not None for key in CIRCULAR) else ""
+    defining = ((key, GIVEN_BY.get(key, key)) for key in SOURCES)
+    given = [key for key, path in defining if _at(orbit, path) is not None]
+    circular = any(orbit.get(key) is not None for key in CIRCULAR)
+    return given[0] if given else "circular" if circular else ""
 
 
 def _attitude(below: Given, above: Given) -> Collection[str]:
-    if not any(name in above and defines(above[name]) for name, defines in _LAWS.items()):
+    """The other laws, if one is given."""
+    if not any(_at(above, key) for keys in LAW_KEYS.values() for key in keys):
         return ()
-    return [name for name in _LAWS if name not in above and name in below]
+    return [law for law in LAW_KEYS if law not in above and law in below]
 
 
 def _jitter(below: Given, above: Given) -> Collection[str]:
@@ -155,9 +147,11 @@ _RULES = (
 )
 
 
-def _value(section: Any, key: str) -> Any:
-    """Value of a key; None if there is none, or no section, whose error is reported elsewhere."""
-    return section.get(key) if isinstance(section, Mapping) else None
+def _at(values: Any, path: str) -> Any:
+    """Value at a dotted path; None if there is none, or no section, whose error is reported elsewhere."""
+    for name in path.split("."):
+        values = values.get(name) if isinstance(values, Mapping) else None
+    return values
 
 
 def _table(tree: Table, path: str) -> Table | None:

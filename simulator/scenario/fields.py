@@ -51,7 +51,7 @@ class Key:
 
     @property
     def name(self) -> str:
-        """The last part of the path; of a component of a list, that of the list."""
+        """The last part of the path; for a component, the name of its list."""
         above, _, name = self.path.rpartition(".")
         return above.rpartition(".")[2] if name.isdigit() else name
 

@@ -31,7 +31,7 @@ from simulator.scenario.fields import (
     nest,
 )
 from simulator.scenario.files import FILE_KEYS, absolute_files, find_scenario, included_scenarios, read_chain, with_base
-from simulator.scenario.overrides import apply_overrides, set_option, set_values, with_components
+from simulator.scenario.overrides import apply_overrides, set_option, set_values, with_component, with_components
 from simulator.scenario.quantities import as_written
 from simulator.scenario.schema import ScenarioModel
 from simulator.scenario.tables import check_table, location_of, locations_of
@@ -261,9 +261,9 @@ class Scenario(ScenarioModel):
         for path in [path for path in written if component_key(path, _KEYS)]:
             above, _, index = path.rpartition(".")
             whole = written.get(above, flatten(self)[above])
-            if not isinstance(whole, (list, tuple)) or int(index) >= len(whole):
+            written[above] = with_component(whole, int(index), written.pop(path))
+            if written[above] is None:
                 raise InputError(f"{path}: {above} is {whole!r}, which has no such component")
-            written[above] = [*whole[: int(index)], written.pop(path), *whole[int(index) + 1 :]]
         try:
             scenario = type(self).model_validate(nest(heads.overlaid(flatten(self), written)))
         except ValidationError as error:

@@ -18,12 +18,13 @@ MIN_ORBIT_KM = 150.0
 """Below this altitude, drag causes re-entry within about one orbit (Vallado 2013, chapter 8)."""
 _INFLUENCE_KM = {"Earth": SPHERE_OF_INFLUENCE_KM, "Moon": 66_100.0, "Sun": math.inf}
 """Spheres of influence, within which a state is near a conic: a (m/M)^(2/5)."""
-_GIVEN_BY = {"elements": "elements.semi_major_axis_km", "state": "state.position_km"}
+GIVEN_BY = {"elements": "elements.semi_major_axis_km", "state": "state.position_km"}
+"""Key of each section that defines an orbit, without which the section has no effect."""
 
 
 def sources(v: Mapping[str, Any]) -> list[str]:
     """Keys of the ``orbit`` section that define an orbit other than the circular one."""
-    keys = (*_GIVEN_BY.values(), *FILES)
+    keys = (*GIVEN_BY.values(), *FILES)
     return [key for key in keys if v[f"orbit.{key}"] is not None]
 
 

@@ -66,12 +66,21 @@ def _with_items(items: Table, data: Any, path: str, keys: Mapping[str, Key], pro
         return items
     values = list(data) if isinstance(data, (list, tuple)) else []
     for name, entry in items.entries.items():
-        if component_key(f"{path}.{name}", keys) is None or int(name) >= len(values):
+        item = entry.node.data if isinstance(entry.node, Value) else entry.node.plain()
+        replaced = with_component(values, int(name), item)
+        if component_key(f"{path}.{name}", keys) is None or replaced is None:
             last = f"has the components 0 to {len(values) - 1}" if values else "has no components; give the whole value"
             problems.append(Problem(entry.location, f"{path}.{name}", f"{path} {last}"))
             return Value(REPORTED, items.location)
-        values[int(name)] = entry.node.data if isinstance(entry.node, Value) else entry.node.plain()
+        values = replaced
     return Value(values, items.location)
+
+
+def with_component(values: Any, index: int, value: Any) -> list[Any] | None:
+    """A list with another component; None if it is none, or has no such component."""
+    if not isinstance(values, (list, tuple)) or index >= len(values):
+        return None
+    return [*values[:index], value, *values[index + 1 :]]
 
 
 def set_option(tree: Table, option: str, path: str, value: object) -> Table:

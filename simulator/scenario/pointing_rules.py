@@ -14,6 +14,15 @@ from simulator.mission.slews import build_slews
 from simulator.scenario.errors import Violation, impossible
 from startracker.errors import InputError
 
+LAW_KEYS = {
+    "target": ("target",),
+    "spin": ("spin.rate_deg_s",),
+    "attitude": tuple(f"attitude.{key}" for key in ATTITUDE_FILES),
+    "waypoints": ("waypoints.points",),
+    "track": ("track.target",),
+}
+"""Keys of the section that define the attitude, by law; null, an empty list and a rate of 0 do not."""
+
 
 def attitude_files(v: Mapping[str, Any]) -> list[str]:
     """Keys of the files that define the attitude."""
@@ -54,14 +63,7 @@ def _laws(v: Mapping[str, Any]) -> Iterator[Violation]:
             "pointing.spin.rate_deg_s", "a freely spinning body cannot hold a pointing.target; remove one of them"
         )
         return
-    definitions = {
-        "pointing.target": v["pointing.target"] is not None,
-        "pointing.spin.rate_deg_s": v["pointing.spin.rate_deg_s"] != 0.0,
-        **dict.fromkeys(attitude_files(v), True),
-        "pointing.waypoints.points": bool(v["pointing.waypoints.points"]),
-        "pointing.track.target": v["pointing.track.target"] is not None,
-    }
-    given = [key for key, is_given in definitions.items() if is_given]
+    given = [f"pointing.{key}" for keys in LAW_KEYS.values() for key in keys if v[f"pointing.{key}"]]
     if len(given) > 1:
         yield impossible(given[1], f"the attitude is already defined by {given[0]}; set one of them to null")
 
