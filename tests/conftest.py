@@ -8,6 +8,7 @@ import slow_tests
 from hypothesis import settings
 from undrawn import undrawn
 
+from simulator.constants import GARBAGE_THRESHOLDS
 from simulator.study.pages import drawing
 
 # The same examples every time, so that a green run stays green; make test-all looks for new ones. Without a time limit
@@ -67,7 +68,7 @@ def pytest_collection():
     gc.disable()
     result = yield
     gc.freeze()
-    gc.set_threshold(10_000, 20, 20)
+    gc.set_threshold(*GARBAGE_THRESHOLDS)
     gc.enable()
     return result
 

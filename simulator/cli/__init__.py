@@ -21,9 +21,9 @@ def _run(arguments: list[str], *, entry: bool = False) -> int:
         if entry:
             import gc
 
-            # Compiling makes millions of objects that are referenced until it ends. By default Python searches for
-            # garbage after every 700 new ones, a tenth of the time of a first run.
-            gc.set_threshold(10_000, 20, 20)
+            from simulator.constants import GARBAGE_THRESHOLDS
+
+            gc.set_threshold(*GARBAGE_THRESHOLDS)
             from simulator.cli.streams import prepare_streams, say
             from startracker.errors import InputError
 

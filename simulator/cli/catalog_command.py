@@ -29,7 +29,7 @@ CatalogName = Annotated[
 def add_command(
     files: CatalogFiles,
     name: Annotated[
-        str | None, option("--name", "NAME", "Name of the catalogue; default: that of the first file.")
+        str | None, option("--name", "NAME", "Name of the catalogue; default: the name of the first file.")
     ] = None,
     columns: Annotated[
         str | None,

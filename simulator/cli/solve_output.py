@@ -14,7 +14,6 @@ from simulator.cli.checks import picture_format
 from simulator.paths import write_atomically
 from startracker import explain as explaining
 from startracker.core import FloatArray
-from startracker.geometry.attitude import direction_to_radec
 from startracker.geometry.camera import Camera
 from startracker.images.reading import RowOrder
 from startracker.observer import Observer
@@ -22,7 +21,9 @@ from startracker.solution import Solution
 from startracker.wcs import wcs_header
 
 _CENTRED_PX = 0.5
-"""Offset of the principal point above which its direction is printed beside that of the image centre."""
+"""Offset of the principal point above which its direction is printed as well as the direction of the image centre."""
+_AT_REST = Observer(2000.0, np.zeros(3))
+"""For directions in the frame of the attitude, from which no aberration is removed."""
 
 
 def as_dict(solution: Solution, pixels: FloatArray, observer: Observer | None) -> dict[str, Any]:
@@ -125,9 +126,8 @@ def _centre_deg(solution: Solution) -> tuple[float | None, float | None]:
     in the frame of the attitude, so that a centred principal point has the direction of the attitude."""
     if solution.attitude is None or solution.camera is None or not _offset_px(solution.camera):
         return solution.ra_deg, solution.dec_deg
-    direction = solution.camera.unproject([_centre(solution.camera)]) @ solution.attitude.as_matrix()
-    ra_rad, dec_rad = direction_to_radec(direction[0])
-    return math.degrees(float(ra_rad)), math.degrees(float(dec_rad))
+    ra_deg, dec_deg = solution.radec_of(_centre(solution.camera), _AT_REST)[0].tolist()
+    return ra_deg, dec_deg
 
 
 def _radec_deg(solution: Solution, pixels: FloatArray, observer: Observer | None) -> FloatArray:

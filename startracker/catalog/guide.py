@@ -368,7 +368,7 @@ def _build(
     even = brightest_everywhere(directions[pattern], half_diagonal, PATTERN_STARS_IN_FIELD)
     pairs = expected_pairs(int(even.sum()), half_diagonal)
     if pairs > MOST_PAIRS:
-        # The number of pairs grows with the square of that of the stars in a field.
+        # The number of pairs grows with the square of the number of stars in a field.
         around = even.sum() * 0.5 * (1.0 - math.cos(half_diagonal))
         limit = max(math.floor(around * math.sqrt(MOST_PAIRS / pairs)), _FEWEST_PATTERN_STARS)
         even = brightest_everywhere(directions[pattern], half_diagonal, limit)

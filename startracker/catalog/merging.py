@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from startracker.catalog.stars import StarCatalog
+from startracker.catalog.stars import StarCatalog, rms
 from startracker.core import ARCSEC_RAD, MAS_RAD, FloatArray, IntArray
 from startracker.geometry.attitude import radec_to_direction
 
@@ -35,15 +35,14 @@ def merge_catalogs(deep: StarCatalog, bright: StarCatalog, positions_rad: float 
 
     Stars are matched one to one by their positions at that epoch, with the space motion of `bright`, and by brightness.
 
-    - A star of both has the position of `deep`, and everything else of `bright`. Its proper motion is that of `deep` if
-      known (not zero), otherwise that of `bright`, corrected by the difference of both positions divided by the years
+    - A star of both has the position of `deep`, and everything else of `bright`. Its proper motion is taken from `deep`
+      if known (not zero), otherwise from `bright`, corrected by the difference of both positions divided by the years
       between the catalogues, if that is below 0.15″. If the error of the positions of `deep` over these years is more
       than 1 mas per year, the errors of Hipparcos' proper motions, all values are those of `bright`.
     - A star of `bright` alone is moved to the epoch of `deep`.
     - A star of `deep` alone within 10″ of a star of both is taken as its companion, with its proper motion and
       parallax, if its own proper motion is unknown (zero).
-    - V and B − V of a star of both are those of `deep` if its V in `bright` is that of the star and its companions
-      together.
+    - V and B − V of a star of both are taken from `deep` if its V in `bright` includes the light of its companions.
 
     Parameters
     ----------
@@ -68,8 +67,7 @@ def merge_catalogs(deep: StarCatalog, bright: StarCatalog, positions_rad: float 
     added = {column: getattr(deep, column)[alone] for column in columns}
     _follow(added, columns, deep, alone, companion)
     joined: dict[str, Any] = {name: np.concatenate([columns[name], added[name]]) for name in columns}
-    sigma = float(np.sqrt(np.mean(joined["star_sigma_rad"] ** 2)))
-    return replace(deep, position_sigma_rad=sigma, source=None, **joined)
+    return replace(deep, position_sigma_rad=rms(joined["star_sigma_rad"]), source=None, **joined)
 
 
 def match(rows: IntArray, others: IntArray, distance: FloatArray, bright: StarCatalog, deep: StarCatalog) -> IntArray:

@@ -73,7 +73,7 @@ class StarCatalog:
     star_name: NDArray[np.str_]
     position_sigma_rad: float = 0.1 * ARCSEC_RAD
     variable: NDArray[np.bool_] = field(default=cast("NDArray[np.bool_]", None))  # None: no known variables
-    star_sigma_rad: FloatArray = field(default=cast("FloatArray", None))  # None: that of the catalogue
+    star_sigma_rad: FloatArray = field(default=cast("FloatArray", None))  # None: `position_sigma_rad`
     source: CatalogSource | None = None
 
     def __repr__(self) -> str:
@@ -108,6 +108,23 @@ class StarCatalog:
             object.__setattr__(self, name, read_only(value) if isinstance(value, np.ndarray) else value)
 
     @classmethod
+    def of_stars(cls, name: str, epoch_jyear: float, star_sigma_rad: FloatArray, **given: Any) -> StarCatalog:
+        """Catalogue of stars with errors of their own, whose rms is its error. Parallax, radial velocity, spectral type
+        and name may be unknown."""
+        n = len(star_sigma_rad)
+        unknown: dict[str, Any] = {
+            **dict.fromkeys(("parallax_rad", "radial_velocity_km_s"), np.zeros(n)),
+            **dict.fromkeys(("spectral_type", "star_name"), np.full(n, "")),
+        }
+        return cls(
+            name,
+            epoch_jyear,
+            position_sigma_rad=rms(star_sigma_rad),
+            star_sigma_rad=star_sigma_rad,
+            **(unknown | given),
+        )
+
+    @classmethod
     def columns(cls) -> list[str]:
         """Names of the columns."""
         return [f.name for f in fields(cls) if f.name not in _OF_THE_WHOLE]
@@ -123,7 +140,7 @@ class StarCatalog:
             raise InputError(f"a part of {self.name} needs a boolean mask or an array of rows: {error}") from None
         sigma = columns["star_sigma_rad"]
         if len(sigma) and (sigma != sigma[0]).any():
-            columns["position_sigma_rad"] = float(np.sqrt(np.mean(sigma**2)))
+            columns["position_sigma_rad"] = rms(sigma)
         return replace(self, **columns)
 
     @property
@@ -193,6 +210,11 @@ class StarCatalog:
         }
         columns["radial_velocity_km_s"][near] = speed
         return replace(self, epoch_jyear=epoch_jyear, **columns)
+
+
+def rms(values: FloatArray) -> float:
+    """Root mean square; 0 for no values."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def _unchangeable(column: ArrayLike) -> NDArray[Any]:

@@ -23,8 +23,6 @@ from startracker.core import MAS_RAD, FloatArray
 from startracker.errors import InputError
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,39}")
-_STATED_JYEAR = 2026.5
-"""Time for which position errors are stated."""
 FIRST_NUMBER = 1_000_001
 """Number of the first star of a table without usable numbers; Hipparcos' are below."""
 
@@ -51,7 +49,7 @@ class TableOptions:
     """How a table of stars is read."""
 
     epoch_jyear: float | None = None
-    """Julian epoch of the positions; None: that of the star indices of Tycho-2, J2000, otherwise it must be given."""
+    """Julian epoch of the positions; None: J2000 for the star indices of Tycho-2, otherwise it must be given."""
     columns: Mapping[str, str] = field(default_factory=dict)
     """Column of a quantity (key of `USUAL_NAMES`), where it has another name. Right ascension and declination in
     degrees (ICRS), proper motions in milliarcseconds per year (RA multiplied by cos Dec), parallaxes in
@@ -193,28 +191,25 @@ def _stars(path: Path, name: str, options: TableOptions) -> StarCatalog:
     good = np.isfinite(values["ra"]) & np.isfinite(values["dec"]) & np.isfinite(v_mag)
     if np.any(np.abs(values["dec"][good]) > 90.0) or np.any(np.abs(values["ra"][good]) > 360.0):
         raise InputError(f"{path}: right ascensions and declinations must be in degrees")
-    n, rows = int(good.sum()), np.flatnonzero(good)
+    rows = np.flatnonzero(good)
     nothing = np.full(len(good), np.nan)
     pm_ra, pm_dec = (values.get(key, nothing)[rows] for key in ("pm_ra", "pm_dec"))
     unknown = ~(np.isfinite(pm_ra) & np.isfinite(pm_dec))
-    drift_mas = np.where(unknown, gaia.MOTION_MAS_YR * abs(_STATED_JYEAR - epoch), 0.0)
+    drift_mas = np.where(unknown, gaia.MOTION_MAS_YR * abs(gaia.STATED_JYEAR - epoch), 0.0)
     sigma = np.hypot(options.sigma_mas, drift_mas) * MAS_RAD
-    columns: dict[str, Any] = {
-        "id": _ids(table, chosen.get("id"), rows),
-        "ra_rad": np.radians(values["ra"][rows]) % (2.0 * np.pi),
-        "dec_rad": np.radians(values["dec"][rows]),
-        "pm_ra_rad_yr": np.where(unknown, 0.0, pm_ra) * MAS_RAD,
-        "pm_dec_rad_yr": np.where(unknown, 0.0, pm_dec) * MAS_RAD,
-        "parallax_rad": np.maximum(np.nan_to_num(values.get("parallax", nothing)[rows]), 0.0) * MAS_RAD,
-        "radial_velocity_km_s": np.zeros(n),
-        "v_mag": v_mag[rows],
-        "b_v": b_v[rows],
-        "spectral_type": np.full(n, ""),
-        "star_name": np.full(n, ""),
-        "star_sigma_rad": sigma,
-    }
-    overall = float(np.sqrt(np.mean(sigma**2))) if n else 0.0
-    return StarCatalog(name, epoch, position_sigma_rad=overall, **columns)
+    return StarCatalog.of_stars(
+        name,
+        epoch,
+        sigma,
+        id=_ids(table, chosen.get("id"), rows),
+        ra_rad=np.radians(values["ra"][rows]) % (2.0 * np.pi),
+        dec_rad=np.radians(values["dec"][rows]),
+        pm_ra_rad_yr=np.where(unknown, 0.0, pm_ra) * MAS_RAD,
+        pm_dec_rad_yr=np.where(unknown, 0.0, pm_dec) * MAS_RAD,
+        parallax_rad=np.maximum(np.nan_to_num(values.get("parallax", nothing)[rows]), 0.0) * MAS_RAD,
+        v_mag=v_mag[rows],
+        b_v=b_v[rows],
+    )
 
 
 def _chosen(path: Path, table: Columns, given: Mapping[str, str]) -> dict[str, str]:

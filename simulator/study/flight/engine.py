@@ -16,6 +16,7 @@ from startracker.catalog.guide import GuideDatabase
 from startracker.core import FloatArray
 from startracker.display import described
 from startracker.errors import InputError
+from startracker.field_solution import unsolved
 from startracker.flight.apparent import epoch_of
 from startracker.flight.design import FlightDesign
 from startracker.flight.following import RADIUS_BITS
@@ -128,10 +129,7 @@ class FlightEngine:
 
     def refused(self, status: Status, reason: str, clock: Clock) -> Solution:
         """Solution of a frame that is not solved."""
-        camera = self.camera
-        return Solution(
-            status, reason, fov_deg=camera.fov_deg, parity=camera.parity, times_ms=clock.times_ms(), camera=camera
-        )
+        return unsolved(self.camera, status, reason, clock)
 
     def solution(
         self, answer: ProgramAnswer, stars: StarList, observer: Observer | None, clock: Clock, note: str = ""

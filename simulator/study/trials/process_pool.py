@@ -12,6 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
+from simulator.constants import GARBAGE_THRESHOLDS
 from simulator.scenario import Scenario
 from simulator.study.results_folder import refuse_other_files, scenario_sha256
 from simulator.study.trials.blocks import MAX_ATTEMPTS, Blocks, Result, run_block
@@ -110,7 +111,7 @@ def run_in_pool(
 
 def start_worker() -> None:
     """Prepare a worker process: Ctrl-C is the parent's affair, and the worker ends with it."""
-    gc.set_threshold(10_000, 20, 20)  # as in the command, for workers that compile
+    gc.set_threshold(*GARBAGE_THRESHOLDS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
