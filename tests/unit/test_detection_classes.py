@@ -24,21 +24,14 @@ from startracker.detection.classify import (
     select_spots,
 )
 from startracker.detection.scan import UNFILTERED
-from startracker.detection.sources import SOURCE, Searched
-from startracker.detection.tiles import as_plane
+from startracker.detection.sources import Searched
 from startracker.settings import DetectionSettings
-
-
-def plane(shape, value):
-    return as_plane(np.full(shape, value, np.float32))
+from tests.helpers import source_tables
+from tests.helpers.source_tables import plane
 
 
 def objects(count, **columns):
-    table = np.zeros(count, SOURCE)
-    table["flux"], table["pixels"] = np.arange(count, 0.0, -1.0), 5
-    for name, values in columns.items():
-        table[name] = values
-    return table
+    return source_tables.objects(count, **({"flux": np.arange(count, 0.0, -1.0), "pixels": 5} | columns))
 
 
 CRITERIA = Criteria(3, 100, 4.0, True, 0.0, 0.0, 2)

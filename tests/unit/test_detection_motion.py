@@ -17,22 +17,8 @@ from startracker.detection.forms import (
     frame_motion,
     motion_at,
 )
-from startracker.detection.sources import (
-    SOURCE,
-)
-from startracker.detection.tiles import as_plane
 from startracker.settings import DetectionSettings
-
-
-def plane(shape, value):
-    return as_plane(np.full(shape, value, np.float32))
-
-
-def objects(count, **columns):
-    table = np.zeros(count, SOURCE)
-    for name, values in columns.items():
-        table[name] = values
-    return table
+from tests.helpers.source_tables import objects
 
 
 # ---------------------------------------------------------------------- motion of the frame

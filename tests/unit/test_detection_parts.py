@@ -31,17 +31,7 @@ from startracker.detection.sources import (
     measure_objects,
 )
 from startracker.detection.tiles import Plane, as_plane
-
-
-def plane(shape, value):
-    return as_plane(np.full(shape, value, np.float32))
-
-
-def objects(count, **columns):
-    table = np.zeros(count, SOURCE)
-    for name, values in columns.items():
-        table[name] = values
-    return table
+from tests.helpers.source_tables import objects, plane
 
 
 # ---------------------------------------------------------------------- runs
